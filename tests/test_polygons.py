@@ -1,0 +1,203 @@
+import numpy as np
+import pytest
+import shapely
+
+from torchmesh.insertion import Obstacle, Triangulation, signs
+from torchmesh.polygons import (
+    _cut_out,
+    _proposed,
+    crossing_pairs,
+    is_triangulation_of,
+    locate,
+    loop_edges,
+    triangulate_polygon,
+    turns_left,
+    why_not_simple,
+    winding,
+)
+
+
+def star(count, rng, low=0.5, high=1.0):
+    angle = 2 * np.pi * np.arange(count) / count
+    radius = rng.uniform(low, high, count)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1)
+
+
+def star_with_holes(rng):
+    """A star-shaped outer loop and two star-shaped holes: points and loops."""
+    parts = [star(int(rng.integers(8, 60)), rng)]
+    parts += [0.15 * star(int(rng.integers(3, 20)), rng) + centre for centre in ([-0.22, 0.0], [0.22, 0.0])]
+    starts = np.cumsum([0, *map(len, parts)])
+    loops = [np.arange(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    return np.concatenate(parts), [loops[0], loops[1][::-1].copy(), loops[2][::-1].copy()]
+
+
+def rim_of(loops):
+    return np.concatenate([loop_edges(loop) for loop in loops])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_proposal_and_exact_construction_triangulate_polygons_with_holes(seed):
+    points, loops = star_with_holes(np.random.default_rng(seed))
+    assert why_not_simple(points, loops) is None
+    for corners in (_proposed(points, loops), _cut_out(points, loops, np.ones(len(points)))):
+        assert is_triangulation_of(points, corners, rim_of(loops))
+        assert len(corners) == len(points) - 2 + 2 * (len(loops) - 1)
+
+
+@pytest.mark.parametrize("scale,offset", [(1.0, 0.0), (1.0, 1e8), (2.0**-20, 1e8), (2.0**-300, 0.0), (2.0**300, 0.0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_exact_construction_at_any_scale(seed, scale, offset):
+    points, loops = star_with_holes(np.random.default_rng(seed))
+    points = points * scale + offset
+    corners = _cut_out(points, loops, np.ones(len(points)))
+    assert is_triangulation_of(points, corners, rim_of(loops))
+
+
+def test_collinear_vertices_are_all_used():
+    side = np.linspace(0, 1, 11)[:-1]
+    corners = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2], [0, 0]], float)
+    points = np.concatenate([a + side[:, None] * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+    loops = [np.arange(len(points))]
+    for made in (_proposed(points, loops), _cut_out(points, loops, np.ones(len(points)))):
+        assert is_triangulation_of(points, made, rim_of(loops))
+        assert len(made) == len(points) - 2
+
+
+@pytest.mark.parametrize("width", [1e-6, 1e-12, 5e-324])
+def test_thin_slot(width):
+    """A slot cut into a square, so narrow that its areas round to nothing."""
+    across = np.linspace(0.1, 1.0, 7)
+    upper = np.stack([across, np.full(7, width)], 1)
+    lower = np.stack([across[::-1], np.zeros(7)], 1)
+    points = np.concatenate([[[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]], lower, upper])
+    loops = [np.arange(len(points))]
+    made = triangulate_polygon(points, loops, np.ones(len(points)))
+    assert is_triangulation_of(points, made.corners, rim_of(loops))
+
+
+def test_exact_construction_where_the_proposal_is_refused(monkeypatch):
+    points, loops = star_with_holes(np.random.default_rng(0))
+    monkeypatch.setattr("torchmesh.polygons._proposed", lambda *_: None)
+    made = triangulate_polygon(points, loops, np.ones(len(points)))
+    assert is_triangulation_of(points, made.corners, rim_of(loops))
+
+
+def test_hole_that_touches_the_outer_loop_in_a_common_vertex():
+    points = np.array([[0, 0], [2, 0], [4, 0], [4, 3], [0, 3], [3, 1], [1, 1]], float)
+    loops = [np.arange(5), np.array([1, 6, 5])]
+    assert why_not_simple(points, loops) is None
+    for corners in (_proposed(points, loops), _cut_out(points, loops, np.ones(len(points)))):
+        assert corners is None or is_triangulation_of(points, corners, rim_of(loops))
+    assert not isinstance(triangulate_polygon(points, loops, np.ones(7)), Obstacle)
+
+
+SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+
+
+@pytest.mark.parametrize(
+    "points,loops,text",
+    [
+        (SQUARE[[0, 2, 1, 3]], [[0, 1, 2, 3]], "meet"),
+        (SQUARE, [[3, 2, 1, 0]], "0 outer loops"),
+        (np.concatenate([SQUARE, 0.2 * SQUARE + 2]), [[0, 1, 2, 3], [7, 6, 5, 4]], "outside the outer loop"),
+        (np.concatenate([SQUARE, 0.2 * SQUARE + 0.2]), [[0, 1, 2, 3], [4, 5, 6, 7]], "2 outer loops"),
+        (np.concatenate([SQUARE, 0.2 * SQUARE]), [[0, 1, 2, 3], [7, 6, 5, 4]], "meet"),
+        (
+            np.concatenate([SQUARE, 0.5 * SQUARE + 0.2, 0.1 * SQUARE + 0.3]),
+            [[0, 1, 2, 3], [7, 6, 5, 4], [11, 10, 9, 8]],
+            "inside the one",
+        ),
+    ],
+)
+def test_loops_that_bound_no_domain_are_named(points, loops, text):
+    obstacle = triangulate_polygon(points, [np.array(loop) for loop in loops], np.ones(len(points)))
+    assert isinstance(obstacle, Obstacle)
+    assert text in str(obstacle)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_crossing_pairs_against_all_pairs(seed):
+    """On a coarse lattice, so that touching, overlapping and shared ends abound."""
+    rng = np.random.default_rng(seed)
+    lattice = rng.permutation(25)[:14]
+    points = np.stack([lattice % 5, lattice // 5], 1).astype(float)
+    segments = np.unique(np.sort(np.stack([rng.permutation(14)[:2] for _ in range(20)]), 1), axis=0)
+    found = {tuple(sorted(pair)) for pair in crossing_pairs(points, segments).tolist()}
+    lines = shapely.linestrings(points[segments])
+    for i in range(len(segments)):
+        for j in range(i + 1, len(segments)):
+            common = lines[i].intersection(lines[j])
+            shared = set(segments[i]) & set(segments[j])
+            allowed = common.is_empty or (common.geom_type == "Point" and len(shared) == 1)
+            assert ((i, j) in found) == (not allowed), (segments[i], segments[j])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_winding_against_shapely(seed):
+    rng = np.random.default_rng(seed)
+    rim, loops = star_with_holes(rng)
+    points = np.concatenate([rim, rng.uniform(-1, 1, (500, 2))])
+    inside = winding(points, np.arange(len(rim), len(points)), rim_of(loops))
+    polygon = shapely.Polygon(rim[loops[0]], [rim[loop] for loop in loops[1:]])
+    np.testing.assert_array_equal(inside, shapely.contains_xy(polygon, points[len(rim) :]).astype(int))
+    assert [turns_left(points, loop) for loop in loops] == [1, -1, -1]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_recover_makes_any_edge_that_nothing_stands_in(seed):
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([4 * SQUARE - 2, rng.uniform(-1, 1, (60, 2))])
+    work = triangulate_polygon(points, [np.arange(4)], np.ones(64))
+    vertices = np.arange(4, 64)
+    assert len(work.insert(vertices, locate(points, vertices, work.corners))) == 0
+    for u, v in [rng.permutation(vertices)[:2] for _ in range(30)]:
+        before = {tuple(sorted(e)) for e in locked_edges(work)}
+        lines = shapely.linestrings(points[np.array(sorted(before), int).reshape(-1, 2)])
+        crosses = shapely.crosses(lines, shapely.linestrings(points[[u, v]])).any()
+        obstacle = work.recover(np.array([[u, v]]))
+        assert (obstacle is not None) == crosses
+        after = {tuple(sorted(e)) for e in locked_edges(work)}
+        assert after == before | (set() if crosses else {tuple(sorted((int(u), int(v))))})
+        assert is_triangulation_of(points, work.corners, loop_edges(np.arange(4)))
+        h = np.arange(len(work.twin))[work.twin >= 0]
+        np.testing.assert_array_equal(work.twin[work.twin[h]], h)
+
+
+def test_recover_ends_across_a_long_strip_of_collinear_vertices():
+    """Vertices in two straight rows: every choice of the farthest one is a tie."""
+    x = np.arange(12.0)
+    rows = np.concatenate([np.stack([x, np.full(12, y)], 1) for y in (1.0, -1.0)])
+    points = np.concatenate([[[-3.0, -3.0], [15.0, -3.0], [15.0, 3.0], [-3.0, 3.0], [-1.0, 0.0], [12.0, 0.0]], rows])
+    work = triangulate_polygon(points, [np.arange(4)], np.ones(len(points)))
+    vertices = np.arange(4, len(points))
+    assert len(work.insert(vertices, locate(points, vertices, work.corners))) == 0
+    assert work.recover(np.array([[4, 5]])) is None
+    assert is_triangulation_of(points, work.corners, loop_edges(np.arange(4)))
+    assert "passes through vertex" in str(work.recover(np.array([[6, 17]])))
+
+
+def locked_edges(work):
+    flat, ahead = work.corners.ravel(), np.roll(work.corners, -1, 1).ravel()
+    return np.stack([flat, ahead], 1)[work.locked].tolist()
+
+
+def test_insert_refuses_duplicates_and_the_rim_and_splits_edges():
+    points = np.concatenate([SQUARE, [[0.5, 0.5], [0.5, 0.5], [0.5, 0.0], [0.25, 0.25], [1.0, 1.0]]])
+    work = Triangulation(points, np.array([[0, 1, 2], [0, 2, 3]]), np.ones(len(points)))
+    refused = work.insert(np.arange(4, 9), np.zeros(5, np.int64))
+    assert len(refused) == 3
+    assert {6, 8} < set(refused.tolist()) < {4, 5, 6, 8}
+    assert is_triangulation_of(points, work.corners, loop_edges(np.arange(4)))
+    assert set(work.corners.ravel().tolist()) == set(range(9)) - set(refused.tolist())
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_spread_stays_inside_and_stops_where_floating_point_ends(dtype):
+    rim = np.array([[1.0, 1.0], [1.0 + 8 * np.finfo(dtype).eps, 1.0], [1.0, 1.0 + 8 * np.finfo(dtype).eps]])
+    points = np.concatenate([rim, np.zeros((100, 2))])
+    work = Triangulation(points, np.array([[0, 1, 2]]), np.ones(len(points)))
+    left = work.spread(np.arange(3, 103), np.dtype(dtype))
+    assert 0 < len(left) < 100
+    assert (signs(points, *work.corners.T) > 0).all()
+    np.testing.assert_array_equal(points[3:103].astype(dtype), points[3:103])

@@ -1,0 +1,132 @@
+"""Who touches whom, computed from `triangles` alone and passed along.
+
+Half-edge h = 3 * triangle + corner runs from that corner to the next one; the corner it does not
+touch is opposite.  Its twin is the half-edge of the neighbour across the same edge.
+
+                 opposite(h)
+                   /    \\                 twin(twin(h)) = h
+                  /  h   \\                twin(h) = -1 on the boundary
+           tail  o ------> o  head
+                  \\ twin /
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def next_in_triangle(h: Tensor) -> Tensor:
+    """The half-edge after h in its triangle."""
+    return torch.where(h % 3 == 2, h - 2, h + 1)
+
+
+def previous_in_triangle(h: Tensor) -> Tensor:
+    """The half-edge before h in its triangle."""
+    return torch.where(h % 3 == 0, h + 2, h - 1)
+
+
+def tails(triangles: Tensor) -> Tensor:
+    """(3T,) the vertex each half-edge starts from."""
+    return triangles.reshape(-1)
+
+
+def heads(triangles: Tensor) -> Tensor:
+    """(3T,) the vertex each half-edge runs to."""
+    return triangles.roll(-1, 1).reshape(-1)
+
+
+def edge_keys(u: Tensor, v: Tensor, vertices: int) -> Tensor:
+    """One int64 per undirected edge {u, v}: the smaller row times `vertices` plus the larger."""
+    return torch.minimum(u, v) * vertices + torch.maximum(u, v)
+
+
+def twins(triangles: Tensor) -> Tensor:
+    """(3T,) int64 twin of each half-edge, -1 on the boundary.
+
+    `triangles` (T, 3) must be an oriented manifold: each edge in one triangle, or in two that run
+    along it in opposite directions.
+    """
+    u, v = tails(triangles), heads(triangles)
+    keys, order = edge_keys(u, v, int(triangles.max()) + 1 if len(triangles) else 1).sort()
+    first = (keys[1:] == keys[:-1]).nonzero().squeeze(1)
+    left, right = order[first], order[first + 1]
+    twin = torch.full_like(u, -1)
+    twin[left] = right
+    twin[right] = left
+    return twin
+
+
+def edges(triangles: Tensor, twin: Tensor) -> Tensor:
+    """(E, 2) each undirected edge once, as its lower half-edge runs."""
+    h = torch.arange(len(twin), device=twin.device)
+    once = (twin < 0) | (h < twin)
+    return torch.stack([tails(triangles)[once], heads(triangles)[once]], 1)
+
+
+def boundary_edges(triangles: Tensor, twin: Tensor) -> Tensor:
+    """(E_b, 2) the edges of one triangle only, with the mesh on their left."""
+    rim = (twin < 0).nonzero().squeeze(1)
+    return torch.stack([tails(triangles)[rim], heads(triangles)[rim]], 1)
+
+
+def boundary_vertices(triangles: Tensor, twin: Tensor, vertices: int) -> Tensor:
+    """(V,) bool: the vertex lies on an edge that has one triangle only."""
+    mask = torch.zeros(vertices, dtype=torch.bool, device=triangles.device)
+    mask[boundary_edges(triangles, twin).reshape(-1)] = True
+    return mask
+
+
+def vertex_triangle_counts(triangles: Tensor, vertices: int) -> Tensor:
+    """(V,) int64 number of triangles at each vertex."""
+    return torch.bincount(triangles.reshape(-1), minlength=vertices)
+
+
+def euler_number(triangles: Tensor, twin: Tensor) -> int:
+    """V - E + F over the used vertices: 1 for a disc, 1 - (number of holes) for one with holes."""
+    used = len(triangles.unique())
+    return used - len(edges(triangles, twin)) + len(triangles)
+
+
+def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None = None) -> Tensor:
+    """(T,) int64 component of each triangle, neighbours across edges; `blocked` (3T,) bool edges part."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    across = twin >= 0 if blocked is None else (twin >= 0) & ~blocked
+    h = across.nonzero().squeeze(1)
+    i, j = (h // 3).cpu().numpy(), (twin[h] // 3).cpu().numpy()
+    graph = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(len(triangles),) * 2)
+    return torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64)).to(triangles.device)
+
+
+def boundary_loops(rim: Tensor) -> list[Tensor]:
+    """The closed walks along `rim` (E, 2) directed edges, each a tensor of vertices in order.
+
+    Where several loops meet in one vertex they are taken apart at it, so that no loop passes a
+    vertex twice.
+    """
+    following: dict[int, list[int]] = {}
+    for u, v in rim.tolist():
+        following.setdefault(u, []).append(v)
+    loops = []
+    while following:
+        walk = [next(iter(following))]
+        place = {walk[0]: 0}
+        while walk:
+            u = walk[-1]
+            v = following[u].pop()
+            if not following[u]:
+                del following[u]
+            if v in place:
+                start = place[v]
+                loops.append(torch.tensor(walk[start:], device=rim.device))
+                for w in walk[start + 1 :]:
+                    del place[w]
+                walk = walk[: start + 1]
+                if v not in following:
+                    del place[v]
+                    walk.pop()
+            else:
+                place[v] = len(walk)
+                walk.append(v)
+    return loops

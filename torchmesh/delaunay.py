@@ -1,0 +1,100 @@
+"""Step 1: edge flips towards a Delaunay mesh, over a batch."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from . import connectivity
+from .flipping import flip_rounds, kim_rule, safe_rule, shape_rule
+from .mesh import MeshBatch
+
+_RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
+
+
+@dataclass(frozen=True)
+class FlipOptions:
+    """How `flip_to_delaunay` flips.
+
+    rule        "safe": towards a lower sum of |area|, and Delaunay between upright pairs; never more
+                inverted area, never more inverted triangles.  "kim": opposite angles above pi, both
+                new triangles upright (Kim 2017, Step 1)
+    once        an edge made by a flip is not flipped again in this call (one pass of Kim 2017)
+    max_rounds  rounds of conflict-free flips at most
+    """
+
+    rule: Literal["safe", "kim", "shape"] = "safe"
+    once: bool = False
+    max_rounds: int = 10_000
+
+    def __post_init__(self) -> None:
+        if self.rule not in _RULES:
+            raise ValueError(f"FlipOptions.rule must be one of {sorted(_RULES)}, not {self.rule!r}")
+        if self.max_rounds < 1:
+            raise ValueError(f"FlipOptions.max_rounds must be at least 1, not {self.max_rounds}")
+
+    @classmethod
+    def paper(cls) -> "FlipOptions":
+        """One pass of Kim 2017's Step 1."""
+        return cls(rule="kim", once=True)
+
+
+@dataclass(frozen=True, eq=False)
+class FlipInfo:
+    """What `flip_to_delaunay` did.
+
+    flips  (B,) int64 edges flipped in each mesh
+    twin   (3T,) int64 twins of the flipped mesh, so that nobody need sort its edges again
+    """
+
+    flips: Tensor
+    twin: Tensor
+
+
+def flip_to_delaunay(
+    batch: MeshBatch,
+    options: FlipOptions | None = None,
+    *,
+    twin: Tensor | None = None,
+    around: Tensor | None = None,
+) -> tuple[MeshBatch, FlipInfo]:
+    """Flip edges until every interior, unconstrained edge between upright triangles is Delaunay.
+
+    Delaunay by exact in-circle signs; edges of four points on one circle stay as they are.
+    Vertices, boundary and constrained edges are untouched; triangles keep their number.
+
+    twin    (3T,) twins of `batch`, if the caller has them
+    around  (T,) bool, start from the edges of these triangles only
+    """
+    options = options or FlipOptions()
+    twin = connectivity.twins(batch.triangles) if twin is None else twin
+    triangles, twin, log = flip_rounds(
+        batch.points,
+        batch.triangles,
+        twin,
+        constrained_half_edges(batch, twin),
+        _RULES[options.rule],
+        once=options.once,
+        max_rounds=options.max_rounds,
+        around=around,
+    )
+    owner = torch.bucketize(log, batch.triangle_offsets[1:], right=True)
+    return batch.with_triangles(triangles), FlipInfo(torch.bincount(owner, minlength=len(batch)), twin)
+
+
+def constrained_half_edges(batch: MeshBatch, twin: Tensor) -> Tensor:
+    """(3T,) bool: the half-edges, both of an edge, that lie on constrained edges."""
+    locked = torch.zeros(len(twin), dtype=torch.bool, device=twin.device)
+    if not len(batch.constrained_edges):
+        return locked
+    ends = torch.zeros(len(batch.points), dtype=torch.bool, device=twin.device)
+    ends[batch.constrained_edges.reshape(-1)] = True
+    tail, head = connectivity.tails(batch.triangles), connectivity.heads(batch.triangles)
+    near = (ends[tail] & ends[head]).nonzero().squeeze(1)
+    count = len(batch.points)
+    keys = connectivity.edge_keys(tail[near], head[near], count)
+    locked[near] = torch.isin(
+        keys, connectivity.edge_keys(batch.constrained_edges[:, 0], batch.constrained_edges[:, 1], count)
+    )
+    return locked

@@ -1,0 +1,213 @@
+"""What is minimised: energies of one triangle, and their gradient over a mesh.
+
+Every energy here is a function phi(stretch, det) of two invariants of J = E W^-1, where
+E = [b - a, c - a] and W is the target triangle's E (Knupp 2001; Kim 2017 writes A for E):
+
+    stretch = ||J||_F^2 = g11 |e1|^2 + 2 g12 e1.e2 + g22 |e2|^2       det = det J = m det E
+
+so one kernel gathers corners, asks the energy for phi and its two slopes, and scatters forces.
+Each energy states phi in plain differentiable torch (`value`), and its slopes by hand
+(`value_and_slopes`); a test holds the two together.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+import torch
+from torch import Tensor
+
+from .triangle import SQRT3, Corners
+
+
+class Target(NamedTuple):
+    """The target triangle as J's coefficients, one float for all triangles or (T,) one each.
+
+    g11, g12, g22 are the entries of W^-1 W^-T, m = det W^-1.
+    """
+
+    g11: Tensor | float
+    g12: Tensor | float
+    g22: Tensor | float
+    m: Tensor | float
+
+
+def equilateral(side: Tensor | float = 1.0) -> Target:
+    """The equilateral target W = side [[1, 1/2], [0, sqrt(3)/2]] (Kim 2017, equation 3)."""
+    inverse_square = 1.0 / (side * side)
+    return Target(4 / 3 * inverse_square, -2 / 3 * inverse_square, 4 / 3 * inverse_square, 2 / SQRT3 * inverse_square)
+
+
+def target_of(t: Corners) -> Target:
+    """Each triangle of `t`, which must be upright, as the target of itself."""
+    e1x, e1y, e2x, e2y = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
+    det = e1x * e2y - e1y * e2x
+    square = det * det
+    return Target(
+        (e2x * e2x + e2y * e2y) / square,
+        -(e1x * e2x + e1y * e2y) / square,
+        (e1x * e1x + e1y * e1y) / square,
+        1.0 / det,
+    )
+
+
+_E = TypeVar("_E", bound="Energy")
+
+
+class Energy(Protocol):
+    """An energy of one triangle as a function of its invariants; parameters are (T,) or floats."""
+
+    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
+        """(T,) phi in differentiable torch operations; infinite where it has no value."""
+        ...
+
+    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(T,) phi, d phi / d stretch, d phi / d det, derived by hand."""
+        ...
+
+
+@dataclass(frozen=True)
+class InverseMeanRatio:
+    """q^p with q = stretch / (2 det), the inverse mean ratio (Kim 2017, equations 2 and 4; Munson 2007).
+
+    Infinite for a triangle that is not upright, so that no step can invert one.
+    """
+
+    power: int = 2
+
+    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
+        upright = det > 0
+        ratio = stretch / (2 * torch.where(upright, det, 1.0))
+        return torch.where(upright, ratio**self.power, torch.inf)
+
+    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        # A det that is not positive becomes tiny: its phi overflows the line search's test.
+        inverse = 1.0 / det.clamp_min(1e-160)
+        ratio = 0.5 * stretch * inverse
+        lower = ratio if self.power == 2 else ratio ** (self.power - 1)
+        slope = 0.5 * self.power * lower * inverse
+        return lower * ratio, slope, -2.0 * ratio * slope
+
+
+@dataclass(frozen=True)
+class UntangleBeta:
+    """q^2 with q = (|A - beta| - (A - beta)) / 2 and A the signed area (Kim 2017, equations 1 and 2).
+
+    beta  in the unit of A, which is det / 2 under a target with m = 1
+    """
+
+    beta: Tensor | float
+
+    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
+        excess = 0.5 * det - self.beta
+        return (0.5 * (excess.abs() - excess)).square()
+
+    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        lack = (self.beta - 0.5 * det).clamp_min(0)
+        return lack * lack, torch.zeros_like(lack), -lack
+
+
+@dataclass(frozen=True)
+class Regularised:
+    """(1 - theta) stretch / chi + theta (1 + det^2) / chi, chi = (det + sqrt(eps^2 + det^2)) / 2.
+
+    Garanzha, Kaporin, Kudryavtseva, Protais, Ray & Sokolov, Foldover-free maps in 50 lines of code,
+    ACM Transactions on Graphics 40, 2021.  Finite for inverted triangles; as eps falls to 0 it
+    becomes an inverse mean ratio with a pull towards the target's area.
+    """
+
+    eps: Tensor | float
+    theta: float = 1 / 128
+
+    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
+        return ((1 - self.theta) * stretch + self.theta * (1 + det * det)) / self.chi(det)
+
+    def chi(self, det: Tensor) -> Tensor:
+        """(T,) the regularised determinant, positive, without cancellation for det <= 0."""
+        root = torch.sqrt(self.eps * self.eps + det * det)
+        # (det + root) / 2 = eps^2 / (2 (root - det)); |det| takes the well-conditioned one's place.
+        large = 0.5 * (root + det.abs())
+        return torch.where(det > 0, large, 0.25 * self.eps * self.eps / large)
+
+    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        root = torch.sqrt(self.eps * self.eps + det * det)
+        large = 0.5 * (root + det.abs())
+        chi = torch.where(det > 0, large, 0.25 * self.eps * self.eps / large)
+        inverse = 1.0 / chi
+        phi = ((1 - self.theta) * stretch + self.theta * (1 + det * det)) * inverse
+        # d chi / d det = chi / root.
+        return phi, (1 - self.theta) * inverse, 2 * self.theta * det * inverse - phi / root
+
+
+@dataclass(frozen=True)
+class TotalLiftedContent:
+    """sqrt(det^2 + alpha stretch + alpha^2) (Du, Aigerman, Zhou, Kovalsky, Yan, Kaufman & Ju,
+    Lifting simplices to find injectivity, ACM Transactions on Graphics 39, 2020)."""
+
+    alpha: Tensor | float = 1e-2
+
+    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
+        return torch.sqrt(det * det + self.alpha * stretch + self.alpha * self.alpha)
+
+    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        phi = self.value(stretch, det)
+        return phi, 0.5 * self.alpha / phi, det / phi
+
+
+def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
+    """(T,) stretch and det of J for each triangle, in differentiable torch operations."""
+    e1x, e1y, e2x, e2y = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
+    stretch = (
+        target.g11 * (e1x * e1x + e1y * e1y)
+        + 2 * target.g12 * (e1x * e2x + e1y * e2y)
+        + target.g22 * (e2x * e2x + e2y * e2y)
+    )
+    return stretch, target.m * (e1x * e2y - e1y * e2x)
+
+
+def energy_and_forces(
+    coordinates: Tensor, rows: Tensor, energy: Energy, target: Target
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Energy of every triangle and the gradient of their sum, by hand-derived slopes.
+
+    coordinates  (N,) all coordinates in one vector, in any order
+    rows         (6, T) where the corner coordinates ax, ay, bx, by, cx, cy stand in it
+
+    Returns phi (T,), the gradient (N,) and the smallest-det input det (T,).
+    """
+    gather = torch.index_select
+    ax, ay = gather(coordinates, 0, rows[0]), gather(coordinates, 0, rows[1])
+    e1x, e1y = gather(coordinates, 0, rows[2]).sub_(ax), gather(coordinates, 0, rows[3]).sub_(ay)
+    e2x, e2y = gather(coordinates, 0, rows[4]).sub_(ax), gather(coordinates, 0, rows[5]).sub_(ay)
+    p1x, p1y = target.g11 * e1x, target.g11 * e1y
+    p1x += target.g12 * e2x
+    p1y += target.g12 * e2y
+    p2x, p2y = target.g22 * e2x, target.g22 * e2y
+    p2x += target.g12 * e1x
+    p2y += target.g12 * e1y
+    stretch = torch.addcmul(p1x * e1x, p1y, e1y).addcmul_(p2x, e2x).addcmul_(p2y, e2y)
+    det = torch.addcmul(e1x * e2y, e1y, e2x, value=-1).mul_(target.m)
+    phi, by_stretch, by_det = energy.value_and_slopes(stretch, det)
+    by_stretch = 2 * by_stretch
+    by_det = by_det * target.m
+    bx = (by_stretch * p1x).addcmul_(by_det, e2y)
+    by = (by_stretch * p1y).addcmul_(by_det, e2x, value=-1)
+    cx = (by_stretch * p2x).addcmul_(by_det, e1y, value=-1)
+    cy = (by_stretch * p2y).addcmul_(by_det, e1x)
+    gradient = torch.zeros_like(coordinates)
+    gradient.index_add_(0, rows[2], bx).index_add_(0, rows[3], by)
+    gradient.index_add_(0, rows[4], cx).index_add_(0, rows[5], cy)
+    gradient.index_add_(0, rows[0], bx.add_(cx), alpha=-1).index_add_(0, rows[1], by.add_(cy), alpha=-1)
+    return phi, gradient, det
+
+
+def select_rows(record: _E, keep: Tensor) -> _E:
+    """An energy or target for some of the triangles: its (T,) parameters at `keep`, floats as they are."""
+    if isinstance(record, tuple):
+        return type(record)(*(v[keep] if isinstance(v, Tensor) else v for v in record))
+    changes = {
+        f.name: getattr(record, f.name)[keep]
+        for f in dataclasses.fields(record)  # type: ignore[arg-type]
+        if isinstance(getattr(record, f.name), Tensor)
+    }
+    return dataclasses.replace(record, **changes) if changes else record  # type: ignore[type-var]

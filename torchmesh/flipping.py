@@ -1,0 +1,298 @@
+"""Edge flips in conflict-free rounds, on bare tensors: legality, action and the loop over rounds.
+
+            s                        s
+          / | \\                    /   \\
+        /   |   \\                /       \\
+      u  h  |  g  w    flip    u ----------- w     drawn the other way: before the flip the edge
+        \\   |   /      <-->      \\       /         u-w is there, after it the edge r-s
+          \\ | /                    \\   /
+            r                        r
+
+A round flips the edges that rank first in both their triangles, so no two of them share one; its
+cost is that of the edges still in question, not of the mesh.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from .connectivity import next_in_triangle, previous_in_triangle
+from .predicates import incircle, orientation
+from .triangle import Corners, angle_at, inverse_mean_ratio
+
+
+class Quads(NamedTuple):
+    """The coordinates round N interior edges u-w, each (N,): s on their left, r on their right."""
+
+    ux: Tensor
+    uy: Tensor
+    wx: Tensor
+    wy: Tensor
+    sx: Tensor
+    sy: Tensor
+    rx: Tensor
+    ry: Tensor
+
+
+# What a rule says of the edges in question: which to flip (N,) bool, and their rank (N,), higher first.
+Rule = Callable[[Quads], tuple[Tensor, Tensor]]
+
+
+def opposite_angle_sum(q: Quads) -> Tensor:
+    """(N,) sum in radians of the unsigned angles at s and r, which see the edge u-w."""
+    at_s = angle_at(q.sx, q.sy, q.ux, q.uy, q.wx, q.wy)
+    return at_s + angle_at(q.rx, q.ry, q.ux, q.uy, q.wx, q.wy)
+
+
+def new_signs(q: Quads) -> tuple[Tensor, Tensor]:
+    """(N,) exact signs of the two triangles that the flip would make, urs and rws."""
+    return (
+        orientation(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy),
+        orientation(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy),
+    )
+
+
+def old_signs(q: Quads) -> tuple[Tensor, Tensor]:
+    """(N,) exact signs of the two triangles of the edge, uws and wur."""
+    return (
+        orientation(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy),
+        orientation(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry),
+    )
+
+
+def kim_rule(q: Quads) -> tuple[Tensor, Tensor]:
+    """Kim 2017, Step 1: flip when the opposite angles sum to more than pi and no new triangle inverts.
+
+    For two upright triangles the sum is compared by the exact in-circle sign, which is the same
+    criterion (Delaunay); ranked by the sum.
+    """
+    total = opposite_angle_sum(q)
+    eligible = total > torch.pi * (1 - 1e-12)
+    rows = eligible.nonzero().squeeze(1)
+    few = Quads(*(v[rows] for v in q))
+    left, right = old_signs(few)
+    upright = (left > 0) & (right > 0)
+    inside = incircle(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy, few.rx, few.ry) > 0
+    first, second = new_signs(few)
+    eligible = eligible.clone()
+    eligible[rows] = torch.where(upright, inside, total[rows] > torch.pi) & (first > 0) & (second > 0)
+    return eligible, total
+
+
+def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
+    """Flips that cannot do harm: towards a lower sum of |area|; among upright pairs, Delaunay.
+
+    A pair's signed areas sum to the same before and after, so its sum of |area| falls exactly when
+    its inverted area does.  Inverted area never grows, nor the count of inverted triangles; at
+    equal inverted area flat triangles go, and between two upright pairs the Delaunay one wins.
+    The three together strictly decrease in lexicographic order: rounds cannot cycle.
+    """
+    delaunay = incircle(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy, q.rx, q.ry) > 0
+    left, right = old_signs(q)
+    upright = (left > 0) & (right > 0)
+    rank = _cotangent_deficit(q)
+    eligible = upright & delaunay
+    rows = (eligible | ~upright).nonzero().squeeze(1)
+    few = Quads(*(v[rows] for v in q))
+    first, second = new_signs(few)
+    made_upright = (first > 0) & (second > 0)
+    before = [_double_area(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy)]
+    before.append(_double_area(few.wx, few.wy, few.ux, few.uy, few.rx, few.ry))
+    after = [_double_area(few.ux, few.uy, few.rx, few.ry, few.sx, few.sy)]
+    after.append(_double_area(few.rx, few.ry, few.wx, few.wy, few.sx, few.sy))
+    gain = sum((-a).clamp_min(0) for a in before) - sum((-a).clamp_min(0) for a in after)
+    rounding = 1e-14 * sum(a.abs() for a in before + after)
+    old_left, old_right = left[rows], right[rows]
+    count_before = (old_left < 0).to(torch.int8) + (old_right < 0)
+    count_after = (first < 0).to(torch.int8) + (second < 0)
+    lower = (gain > rounding) & (count_after <= count_before)
+    unflattened = (old_left >= 0) & (old_right >= 0) & made_upright
+    is_upright = upright[rows]
+    eligible = eligible.clone()
+    eligible[rows] = torch.where(is_upright, made_upright, lower | unflattened)
+    # Untangling flips come before Delaunay flips, the largest relative gain first.
+    rank[rows] = torch.where(is_upright, rank[rows], 1e30 * (1 + gain / rounding.clamp_min(1e-300)))
+    return eligible, rank
+
+
+def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
+    """Flip between upright pairs when the sum of squared inverse mean ratios falls: the smoother's energy."""
+    gain = _pair_energy(q, False) - _pair_energy(q, True)
+    rows = (gain > 1e-10).nonzero().squeeze(1)
+    few = Quads(*(v[rows] for v in q))
+    eligible = gain > 1e-10
+    signs = old_signs(few) + new_signs(few)
+    eligible[rows] = torch.stack(signs).amin(0) > 0
+    return eligible, gain
+
+
+def _pair_energy(q: Quads, flipped: bool) -> Tensor:
+    pair = (
+        [Corners(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy), Corners(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy)]
+        if flipped
+        else [Corners(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy), Corners(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry)]
+    )
+    return sum(inverse_mean_ratio(t).clamp_max(1e30).square() for t in pair)
+
+
+def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> Tensor:
+    """(N,) bool: do the tails of the half-edges `start` (N,) have an edge to `target` (N,) already."""
+    found = torch.zeros(len(start), dtype=torch.bool, device=start.device)
+    rows = torch.arange(len(start), device=start.device)
+    here = start
+    backward = []
+    while len(rows):
+        behind = previous_in_triangle(here)
+        goal = target[rows]
+        hit = (vertex[next_in_triangle(here)] == goal) | (vertex[behind] == goal)
+        found[rows[hit]] = True
+        onward = twin[behind]
+        open_end = ~hit & (onward < 0)
+        backward.append(rows[open_end])
+        going = ~hit & ~open_end & (onward != start[rows])
+        rows, here = rows[going], onward[going]
+    rows = torch.cat(backward) if backward else rows
+    here = twin[start[rows]]
+    while len(rows):
+        inner = here >= 0
+        rows, here = rows[inner], next_in_triangle(here[inner])
+        goal = target[rows]
+        hit = (vertex[next_in_triangle(here)] == goal) | (vertex[previous_in_triangle(here)] == goal)
+        found[rows[hit]] = True
+        rows, here = rows[~hit], twin[here[~hit]]
+    return found
+
+
+def flip_rounds(
+    points: Tensor,
+    triangles: Tensor,
+    twin: Tensor,
+    locked: Tensor,
+    rule: Rule,
+    *,
+    once: bool = False,
+    max_rounds: int = 10_000,
+    around: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Flip by `rule` until no edge is eligible; returns triangles, twin and a log of the flips.
+
+    points     (V, 2) coordinates
+    triangles  (T, 3) int64; not changed, the result is a new tensor
+    twin       (3T,) int64; likewise
+    locked     (3T,) bool half-edges (both of an edge) that must stay
+    once       an edge that a flip made is not flipped again
+    around     (T,) bool: ask at first only about the edges of these triangles; None: about all
+
+    The log is (F,) int64, the lower-numbered triangle of each flip, for counting them per mesh.
+    """
+    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
+    vertex, twin, locked = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
+    moved = torch.arange(len(vertex), device=vertex.device)
+    best = torch.full((len(triangles),), len(vertex), dtype=torch.int64, device=vertex.device)
+    log = []
+    if around is None:
+        queue = (twin > moved).nonzero().squeeze(1)
+    else:
+        corner = (around.nonzero() * 3 + torch.arange(3, device=around.device)).reshape(-1)
+        queue = _canonical(corner, twin)
+    for _ in range(max_rounds):
+        queue = queue[~locked[queue]]
+        h, rank = _eligible(x, y, vertex, twin, queue, rule)
+        if not len(h):
+            break
+        # Equal ranks stay in the order of their index: h ascends and the sort is stable.
+        h = h[rank.argsort(descending=True, stable=True)]
+        chosen = _first_in_both(h, twin, best)
+        chosen &= _first_of_its_key(vertex, twin, h, chosen)
+        flipped, left = h[chosen], h[~chosen]
+        log.append(torch.minimum(flipped // 3, twin[flipped] // 3))
+        g = twin[flipped]
+        _flip(vertex, twin, locked, moved, flipped, g, once)
+        outer = torch.cat([flipped, previous_in_triangle(flipped), g, previous_in_triangle(g)])
+        queue = _canonical(torch.cat([moved[left], outer]), twin)
+        for h_slot in (next_in_triangle(flipped), next_in_triangle(g)):
+            moved[h_slot] = h_slot
+    flips = torch.cat(log) if log else torch.zeros(0, dtype=torch.int64, device=vertex.device)
+    return vertex.reshape(-1, 3), twin, flips
+
+
+def _double_area(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor) -> Tensor:
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+def _cotangent_deficit(q: Quads) -> Tensor:
+    """(N,) minus the sum of the cotangents of the opposite angles: positive when they exceed pi."""
+    dot_s = (q.ux - q.sx) * (q.wx - q.sx) + (q.uy - q.sy) * (q.wy - q.sy)
+    dot_r = (q.ux - q.rx) * (q.wx - q.rx) + (q.uy - q.ry) * (q.wy - q.ry)
+    cross_s = _double_area(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy).abs().clamp_min(1e-300)
+    cross_r = _double_area(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry).abs().clamp_min(1e-300)
+    return -(dot_s / cross_s + dot_r / cross_r).clamp(-1e29, 1e29)
+
+
+def _canonical(h: Tensor, twin: Tensor) -> Tensor:
+    """The interior edges among half-edges h, each once, as its lower half-edge, ascending."""
+    other = twin[h]
+    inner = other >= 0
+    return torch.minimum(h[inner], other[inner]).unique()
+
+
+def _eligible(x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, queue: Tensor, rule: Rule) -> tuple[Tensor, Tensor]:
+    """The half-edges of the queue that the rule wants flipped and that may be, with their rank."""
+    g = twin[queue]
+    u, w = vertex[queue], vertex[g]
+    s, r = vertex[previous_in_triangle(queue)], vertex[previous_in_triangle(g)]
+    gather = torch.index_select
+    quads = Quads(
+        gather(x, 0, u), gather(y, 0, u), gather(x, 0, w), gather(y, 0, w),
+        gather(x, 0, s), gather(y, 0, s), gather(x, 0, r), gather(y, 0, r),
+    )  # fmt: skip
+    wanted, rank = rule(quads)
+    rows = (wanted & (s != r)).nonzero().squeeze(1)
+    rows = rows[~edge_exists(vertex, twin, previous_in_triangle(queue[rows]), r[rows])]
+    return queue[rows], rank[rows]
+
+
+def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:
+    """(N,) bool: which of the half-edges h, given best first, rank first in both their triangles."""
+    place = torch.arange(len(h), device=h.device)
+    t0, t1 = h // 3, twin[h] // 3
+    best.scatter_reduce_(0, torch.cat([t0, t1]), place.repeat(2), "amin")
+    chosen = (best[t0] == place) & (best[t1] == place)
+    best[t0], best[t1] = len(twin), len(twin)
+    return chosen
+
+
+def _first_of_its_key(vertex: Tensor, twin: Tensor, h: Tensor, chosen: Tensor) -> Tensor:
+    """(N,) bool: false where a better-ranked chosen flip makes the same new edge."""
+    rows = chosen.nonzero().squeeze(1)
+    s = vertex[previous_in_triangle(h[rows])]
+    r = vertex[previous_in_triangle(twin[h[rows]])]
+    keys, order = torch.sort(torch.minimum(s, r) * (int(vertex.max()) + 1) + torch.maximum(s, r), stable=True)
+    again = torch.zeros_like(chosen)
+    again[rows[order[1:][keys[1:] == keys[:-1]]]] = True
+    return ~again
+
+
+def _flip(vertex: Tensor, twin: Tensor, locked: Tensor, moved: Tensor, h: Tensor, g: Tensor, once: bool) -> None:
+    """Flip the half-edges h (twins g), no two in one triangle, in place.
+
+    The new diagonal takes the slots after h and after g; the outer half-edges that were there move
+    to h and g, and `moved` says so until the caller resets it.
+    """
+    h1, g1 = next_in_triangle(h), next_in_triangle(g)
+    s, r = vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
+    across_h1, across_g1 = twin[h1], twin[g1]
+    lock_h1, lock_g1 = locked[h1], locked[g1]
+    vertex[h1], vertex[g1] = r, s
+    moved[g1], moved[h1] = h, g
+    for slot, across in ((h, across_g1), (g, across_h1)):
+        inner = across >= 0
+        there = moved[across.clamp_min(0)]
+        twin[slot] = torch.where(inner, there, -1)
+        twin[there[inner]] = slot[inner]
+    twin[h1], twin[g1] = g1, h1
+    locked[h], locked[g] = lock_g1, lock_h1
+    locked[h1] = once
+    locked[g1] = once

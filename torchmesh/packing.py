@@ -1,0 +1,172 @@
+"""Meshes as the optimiser sees them: the free coordinates in blocks, the rest at the end.
+
+unknowns [ mesh 0: x blocks | y blocks ][ mesh 1: x blocks | y blocks ] ...   then the coordinates
+of the vertices that stay.  Only triangles with a free vertex are in it.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from .energies import Energy, Target, energy_and_forces, select_rows
+from .lbfgs import BLOCK
+from .segments import (
+    counts_from_offsets,
+    offsets_from_counts,
+    segment_count,
+    segment_ids,
+    segment_max,
+    segment_min,
+    segment_sum,
+    spread,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Packing:
+    """The free part of a batch as one vector.
+
+    Coordinates are counted from each mesh's centre in a power of two near its extent, so that no
+    constant anywhere depends on the user's unit or origin.
+
+    unknowns          (N,) free coordinates, padded to whole blocks with zeros
+    anchored          (F,) coordinates of the vertices that stay
+    rows              (6, T) int32, where ax ay bx by cx cy stand in unknowns followed by anchored
+    x_rows, y_rows    (M,) int64, where the free vertices' coordinates stand
+    vertices          (M,) int64, the free vertices
+    triangles         (T,) int64, the triangles that a free vertex touches
+    block_offsets     (B+1,) int64
+    triangle_offsets  (B+1,) int64 over `triangles`
+    centre, unit      (B, 2) and (B,) float64, origin and length unit of each mesh's coordinates
+    point_mesh        (M,) int64, the mesh of each free vertex
+    """
+
+    unknowns: Tensor
+    anchored: Tensor
+    rows: Tensor
+    x_rows: Tensor
+    y_rows: Tensor
+    vertices: Tensor
+    triangles: Tensor
+    block_offsets: Tensor
+    triangle_offsets: Tensor
+    centre: Tensor
+    unit: Tensor
+    point_mesh: Tensor
+
+    def spread_vertices(self, values: Tensor) -> Tensor:
+        """(V,) one value a vertex to (N,) one an unknown, zero in the padding."""
+        out = torch.zeros_like(self.unknowns)
+        out[self.x_rows] = out[self.y_rows] = values[self.vertices].to(out)
+        return out
+
+    def unpack(self, unknowns: Tensor, points: Tensor) -> Tensor:
+        """(V, 2) a copy of `points` with the free vertices where `unknowns` has them."""
+        moved = points.clone()
+        unit, centre = self.unit[self.point_mesh], self.centre[self.point_mesh]
+        moved[self.vertices, 0] = torch.addcmul(centre[:, 0], unknowns[self.x_rows], unit).to(points)
+        moved[self.vertices, 1] = torch.addcmul(centre[:, 1], unknowns[self.y_rows], unit).to(points)
+        return moved
+
+
+def centre_and_unit(points: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, 2) middle of each mesh's bounding box, and (B,) the power of two at or below its half extent."""
+    wide = points.to(torch.float64)
+    low = torch.stack([segment_min(wide[:, i].contiguous(), point_offsets) for i in (0, 1)], 1)
+    high = torch.stack([segment_max(wide[:, i].contiguous(), point_offsets) for i in (0, 1)], 1)
+    half = 0.5 * high - 0.5 * low
+    extent = half.amax(1)
+    unit = torch.ldexp(torch.ones_like(extent), torch.frexp(extent).exponent - 1)
+    return low + half, torch.where(extent > 0, unit, 1.0)
+
+
+def pack(points: Tensor, triangles: Tensor, free: Tensor, point_offsets: Tensor, triangle_offsets: Tensor) -> Packing:
+    """Pack the `free` (V,) bool vertices and the triangles that touch them; float64 inside."""
+    device = points.device
+    centre, unit = centre_and_unit(points, point_offsets)
+    points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
+    touched = free[triangles].any(1)
+    kept = touched.nonzero().squeeze(1)
+    vertices = free.nonzero().squeeze(1)
+    counts = segment_count(free, point_offsets)
+    blocks = (counts + BLOCK - 1) // BLOCK
+    block_offsets = offsets_from_counts(2 * blocks)
+    start = spread(block_offsets[:-1] * BLOCK, offsets_from_counts(counts))
+    rank = torch.arange(len(vertices), device=device) - spread(
+        offsets_from_counts(counts)[:-1], offsets_from_counts(counts)
+    )
+    x_rows = start + rank
+    y_rows = x_rows + spread(blocks * BLOCK, offsets_from_counts(counts))
+    size = int(block_offsets[-1]) * BLOCK
+    unknowns = points.new_zeros(size)
+    unknowns[x_rows] = points[vertices, 0]
+    unknowns[y_rows] = points[vertices, 1]
+    faces = triangles[kept]
+    needed = torch.zeros_like(free)
+    needed[faces.reshape(-1)] = True
+    needed &= ~free
+    anchors = needed.nonzero().squeeze(1)
+    anchored = torch.cat([points[anchors, 0], points[anchors, 1]])
+    place_x = torch.zeros(len(points), dtype=torch.int64, device=device)
+    place_y = torch.zeros_like(place_x)
+    place_x[vertices], place_y[vertices] = x_rows, y_rows
+    ordinal = torch.arange(len(anchors), device=device)
+    place_x[anchors], place_y[anchors] = size + ordinal, size + len(anchors) + ordinal
+    a, b, c = faces.unbind(1)
+    rows = torch.stack([place_x[a], place_y[a], place_x[b], place_y[b], place_x[c], place_y[c]]).to(torch.int32)
+    return Packing(
+        unknowns, anchored, rows, x_rows, y_rows, vertices, kept, block_offsets,
+        offsets_from_counts(segment_count(touched, triangle_offsets)), centre, unit,
+        segment_ids(offsets_from_counts(counts)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class MeshObjective:
+    """The sum of an energy over each mesh's packed triangles, as an `lbfgs.Objective`.
+
+    enough  a mesh is done as soon as each of its packed triangles has det > this; None: never
+    """
+
+    energy: Energy
+    target: Target
+    rows: Tensor
+    anchored: Tensor
+    block_offsets: Tensor
+    triangle_offsets: Tensor
+    scale: Tensor
+    enough: float | None = None
+
+    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        coordinates = torch.cat([unknowns, self.anchored])
+        phi, gradient, det = energy_and_forces(coordinates, self.rows, self.energy, self.target)
+        energy = segment_sum(phi, self.triangle_offsets)
+        if self.enough is None:
+            done = torch.zeros_like(energy, dtype=torch.bool)
+        else:
+            done = segment_min(det, self.triangle_offsets) > self.enough
+        return energy, gradient[: len(unknowns)], done
+
+    def det(self, unknowns: Tensor) -> Tensor:
+        """(T,) det J of the packed triangles."""
+        ax, ay, bx, by, cx, cy = torch.cat([unknowns, self.anchored])[self.rows.long()]
+        return self.target.m * ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+
+    def select(self, keep: Tensor) -> "MeshObjective":
+        blocks = counts_from_offsets(self.block_offsets)
+        size = len(self.scale)
+        faces = spread(keep, self.triangle_offsets)
+        kept = keep.repeat_interleave(blocks).repeat_interleave(BLOCK)
+        shift = torch.cat([kept.to(torch.int64).cumsum(0) - 1, torch.arange(len(self.anchored), device=kept.device)])
+        shift[size:] += int(kept.sum())
+        rows = shift[self.rows[:, faces].long()].to(torch.int32)
+        return replace(
+            self,
+            energy=select_rows(self.energy, faces),
+            target=select_rows(self.target, faces),
+            rows=rows,
+            block_offsets=offsets_from_counts(blocks[keep]),
+            triangle_offsets=offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep]),
+            scale=self.scale[kept],
+        )

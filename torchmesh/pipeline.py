@@ -1,0 +1,331 @@
+"""The whole job: untangle by every means that the options allow, then make the shapes good.
+
+      tangled meshes                                     valid meshes
+   +-- relax: neighbours' means, triangles kept      +-> flips that lower the smoother's energy <-+
+   |-- flip and untangle-beta, in turn               |        |                                   |
+   |-- regularised, triangles kept                   |   smooth (inverse mean ratio) -------------+
+   |-- flip and regularised, in turn                 |        | no flip is left, or quality settles
+   +-- re-triangulate pockets            ------------+        +-> polish the worst -> certify
+
+Every mesh goes down its own road; the meshes on one stretch of road travel as one batch.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from .delaunay import FlipOptions, flip_to_delaunay
+from .errors import ConvergenceError
+from .mesh import MeshBatch, put
+from .quality import Quality, quality
+from .segments import spread
+from .smoothing import SmoothOptions, smooth
+from .status import Status
+from .untangling import UntangleOptions, untangle
+from .warping import relax
+
+
+@dataclass(frozen=True)
+class ImproveOptions:
+    """How `improve` works.
+
+    method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
+    topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change
+    untangle          the untangling steps; "default" uses its own methods with these beta values
+    smooth            the smoothing steps
+    untangle_rounds   outer iterations of flipping and untangling at most
+    smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
+    """
+
+    method: Literal["default", "paper"] = "default"
+    topology: Literal["keep", "flip"] = "flip"
+    untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions(beta=0.3))
+    smooth: SmoothOptions = field(default_factory=SmoothOptions)
+    untangle_rounds: int = 3
+    smooth_rounds: int = 15
+
+    def __post_init__(self) -> None:
+        if self.method not in ("default", "paper"):
+            raise ValueError(f"ImproveOptions.method must be 'default' or 'paper', not {self.method!r}")
+        if self.topology not in ("keep", "flip"):
+            raise ValueError(f"ImproveOptions.topology must be 'keep' or 'flip', not {self.topology!r}")
+        for name in ("untangle_rounds", "smooth_rounds"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"ImproveOptions.{name} must be at least 1, not {getattr(self, name)}")
+
+    @classmethod
+    def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
+        """Kim 2017 as printed: one flip pass, untangle-beta, repeat until valid, smooth once.
+
+        beta  0.01 in the mesh's own unit of area in the paper; None: 0.01 of the mean absolute area
+        topology="keep" gives the paper's ablation, steps 2 and 3 only.
+        """
+        settings: dict[str, Any] = {
+            "method": "paper",
+            "untangle": UntangleOptions(method="beta", absolute_beta=beta, max_iterations=1000),
+            "untangle_rounds": 50,
+        }
+        return cls(**(settings | changes))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of the paper's tables for one mesh: its state after a stage, and what the stage took.
+
+    seconds are wall time of the stage, shared by all the meshes that were in it.
+    """
+
+    stage: str
+    mean: float
+    max: float
+    inverted: int
+    flips: int
+    iterations: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What `improve` did, per mesh (B,).
+
+    status     int64 `Status`; valid bool, every triangle upright by exact sign
+    quality    `Quality` at the end
+    steps      for every mesh its rows of the paper's tables, in order
+    messages   for every mesh, why it ended
+    """
+
+    status: Tensor
+    valid: Tensor
+    quality: Quality
+    steps: list[list[Step]]
+    messages: list[str]
+
+    def check(self) -> "Report":
+        """Raise ConvergenceError, naming the meshes, unless every mesh is valid; else return the report."""
+        failed = (~self.valid).nonzero().squeeze(1).tolist()
+        if failed:
+            shown = "; ".join(
+                f"mesh {b}: {int(self.quality.inverted[b])} inverted, {self.messages[b]}" for b in failed[:10]
+            )
+            more = f"; and {len(failed) - 10} more" if len(failed) > 10 else ""
+            raise ConvergenceError(f"{len(failed)} of {len(self.valid)} meshes are not valid: {shown}{more}")
+        return self
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """One plain record a mesh, for JSON."""
+        return [
+            {
+                "mesh": b,
+                "status": Status(int(self.status[b])).name.lower(),
+                "message": self.messages[b],
+                "valid": bool(self.valid[b]),
+                "steps": [vars(step) for step in self.steps[b]],
+            }
+            for b in range(len(self.valid))
+        ]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where `improve` is: the stage, meshes in it, their inverted triangles, and within a
+    minimisation its iteration and total energy."""
+
+    stage: str
+    meshes: int
+    inverted: int
+    iteration: int = 0
+    energy: float | None = None
+
+
+def improve(
+    batch: MeshBatch,
+    options: ImproveOptions | None = None,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+) -> tuple[MeshBatch, Report]:
+    """Give every mesh of the batch upright triangles of good shape, as far as its boundary admits.
+
+    Vertices keep their number and order, fixed ones their place; boundary and constrained edges
+    stay.  Each mesh's result is the same whatever else is in the batch.  The report says for
+    every mesh what was tried and how it ended; nothing is raised for a mesh that could not be
+    solved (`report.check()` does that).
+
+    progress  called now and then with a `Progress`
+    """
+    options = options or ImproveOptions()
+    job = _Job(batch, options, progress)
+    if options.method == "paper":
+        job.paper()
+    else:
+        job.untangle()
+        job.refine()
+    return job.batch, job.report()
+
+
+# Triangles of a worse inverse mean ratio than this are polished, with three rings of neighbours.
+_POLISHED = 1.2
+
+
+class _Job:
+    """A batch on its way, with the log of what happened to each mesh."""
+
+    def __init__(self, batch: MeshBatch, options: ImproveOptions, progress: Callable[[Progress], None] | None) -> None:
+        self.batch, self.options, self.progress = batch, options, progress
+        self.quality = quality(batch)
+        self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
+        self.messages: dict[int, str] = {}
+        self.steps: list[list[Step]] = [[] for _ in range(len(batch))]
+        everything = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
+        none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
+        self._log("initial", everything, none, none, 0.0)
+
+    @property
+    def tangled(self) -> Tensor:
+        """(B,) bool: the mesh has a triangle that is not upright, and there is still hope for it."""
+        return (self.quality.inverted > 0) & (self.status == Status.RUNNING)
+
+    def paper(self) -> None:
+        """Kim 2017, figure 2."""
+        best = self.quality.inverted.clone()
+        since = torch.zeros_like(best)
+        for _ in range(self.options.untangle_rounds):
+            if not bool(self.tangled.any()):
+                break
+            if self.options.topology != "keep":
+                self._flip("flip", self.tangled, FlipOptions.paper())
+            self._untangle("untangle-beta", self.tangled, self.options.untangle)
+            better = self.quality.inverted < best
+            since = torch.where(better, 0, since + 1)
+            best = torch.minimum(best, self.quality.inverted)
+            patience = 10 if self.options.topology != "keep" else 1
+            self.status[self.tangled & (since >= patience)] = Status.STALLED
+        self.status[self.tangled] = Status.ITERATION_LIMIT
+        self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
+        self.status[self.status == Status.RUNNING] = Status.SETTLED
+
+    def untangle(self) -> None:
+        """Every way that is left, in order of cost, for the meshes that are still tangled."""
+        may_flip = self.options.topology != "keep"
+        given = self.batch
+        self._try("relax", given, lambda part: (relax(part), None))
+        relaxed = self.batch
+        if may_flip:
+            beta = replace(self.options.untangle, method="beta", max_iterations=200)
+            before = 2 * self.quality.inverted
+            for _ in range(self.options.untangle_rounds):
+                going = self.tangled & (2 * self.quality.inverted <= before)
+                before = self.quality.inverted
+                self._flip("flip", going, FlipOptions())
+                self._untangle("untangle-beta", going & self.tangled, beta)
+        regularised = UntangleOptions("regularised")
+        for start in (given, relaxed):
+            self._try("regularised", start, lambda part: untangle(part, regularised))
+        if may_flip:
+            self._try("flip and regularised", self.batch, lambda part: untangle(flip_to_delaunay(part)[0], regularised))
+        self.status[self.tangled] = Status.STALLED
+
+    def refine(self) -> None:
+        """Flips and smoothing in turn on the valid meshes, then care for their worst triangles."""
+        going = self.quality.inverted == 0
+        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=40, energy_tolerance=1e-4)
+        if self.options.topology != "keep":
+            for turn in range(self.options.smooth_rounds):
+                mean, worst = self.quality.mean, self.quality.max
+                flips = self._flip("flip", going, FlipOptions(rule="shape"))
+                self._smooth("smooth", going, rough)
+                settled = (mean - self.quality.mean < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
+                going = going & (flips > 0) & (~settled if turn else going)
+        self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
+        self._smooth("polish", self.quality.inverted == 0, SmoothOptions(power=8, energy_tolerance=1e-4), polish=True)
+        self.status[self.status == Status.RUNNING] = Status.SETTLED
+
+    def report(self) -> Report:
+        """The certificate and the log."""
+        valid = self.quality.inverted == 0
+        messages = [self.messages.get(b, Status(int(status)).message) for b, status in enumerate(self.status.tolist())]
+        return Report(self.status, valid, self.quality, self.steps, messages)
+
+    def _flip(self, stage: str, at: Tensor, options: FlipOptions) -> Tensor:
+        flips = torch.zeros_like(self.status)
+        if bool(at.any()):
+            with self._stage(stage, at) as done:
+                part, info = flip_to_delaunay(self.batch.select(at), options)
+                flips[at] = info.flips
+                done(part, flips=info.flips)
+        return flips
+
+    def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> None:
+        if bool(at.any()):
+            with self._stage(stage, at) as done:
+                part, info = untangle(self.batch.select(at), options, monitor=self._monitor(stage, at))
+                done(part, iterations=info.iterations)
+
+    def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, polish: bool = False) -> None:
+        if bool(at.any()):
+            with self._stage(stage, at) as done:
+                part = self.batch.select(at)
+                shape = self.quality.inverse_mean_ratio[spread(at, self.batch.triangle_offsets)]
+                free = _near(part, shape > _POLISHED, 3) if polish else None
+                part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at))
+                done(part, iterations=info.iterations)
+
+    def _try(self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple]) -> None:
+        """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now."""
+        at = self.tangled
+        if not bool(at.any()):
+            return
+        with self._stage(stage, at) as done:
+            part, info = way(given.select(at))
+            better = quality(part).inverted < self.quality.inverted[at]
+            now = self.batch.select(at)
+            done(
+                put(now, better, part.select(better)) if bool(better.any()) else now,
+                iterations=None if info is None else info.iterations,
+            )
+
+    @contextmanager
+    def _stage(self, stage: str, at: Tensor) -> Iterator[Callable[..., None]]:
+        started = time.perf_counter()
+        if self.progress is not None:
+            self.progress(Progress(stage, int(at.sum()), int(self.quality.inverted[at].sum())))
+        none = torch.zeros(int(at.sum()), dtype=torch.int64, device=at.device)
+
+        def done(part: MeshBatch, flips: Tensor | None = None, iterations: Tensor | None = None) -> None:
+            self.batch = put(self.batch, at, part)
+            self.quality = quality(self.batch)
+            seconds = time.perf_counter() - started
+            self._log(stage, at, none if flips is None else flips, none if iterations is None else iterations, seconds)
+
+        yield done
+
+    def _log(self, stage: str, at: Tensor, flips: Tensor, iterations: Tensor, seconds: float) -> None:
+        q = self.quality
+        columns = (q.mean[at], q.max[at], q.inverted[at], flips, iterations)
+        meshes = at.nonzero().squeeze(1).tolist()
+        for b, *row in zip(meshes, *(c.tolist() for c in columns), strict=True):
+            self.steps[b].append(Step(stage, *row, seconds))
+
+    def _monitor(self, stage: str, at: Tensor) -> Callable[[int, Tensor], None] | None:
+        if self.progress is None:
+            return None
+        report, meshes, inverted = self.progress, int(at.sum()), int(self.quality.inverted[at].sum())
+
+        def monitor(iteration: int, energy: Tensor) -> None:
+            if iteration % 10 == 0:
+                report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
+
+        return monitor
+
+
+def _near(batch: MeshBatch, core: Tensor, rings: int) -> Tensor:
+    """(V,) bool: the vertices of the triangles `core` (T,) bool and of `rings` - 1 rings round them."""
+    mask = torch.zeros(len(batch.points), dtype=torch.bool, device=core.device)
+    for _ in range(rings):
+        mask[batch.triangles[core].reshape(-1)] = True
+        core = mask[batch.triangles].any(1)
+    return mask

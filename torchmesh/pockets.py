@@ -1,0 +1,329 @@
+"""The last resort with a guarantee: forget the triangles of a tangled pocket and make them anew.
+
+Inside a simple boundary a valid triangulation with the same vertices always exists.  A pocket's rim
+is triangulated without its interior vertices; these go back in, where they were if they were
+inside, else where there is room.  Euler's formula gives back the pocket's number of triangles, so
+the new ones take the old rows.  Every sign is exact; the result is checked as a whole.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from . import connectivity
+from .errors import InvalidMeshError
+from .insertion import Obstacle, Triangulation, signs
+from .mesh import MeshBatch
+from .polygons import crossing_pairs, locate, loops_of, triangulate_polygon, unit_exponent
+
+# Of free vertices nearer to each other than this part of the pocket's mean spacing only one stays.
+_CLUSTER = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Retriangulation:
+    """What became of the pockets of one mesh.
+
+    mesh       the mesh with new triangles and places, same vertices and rows
+    ok         whether everything asked for is now valid, checked exactly
+    reason     why not, with vertex numbers; "" when ok
+    moved      (V,) bool, vertices that are in another place
+    rewritten  (T,) bool, rows of triangles that were made anew
+    """
+
+    mesh: MeshBatch
+    ok: bool
+    reason: str
+    moved: Tensor
+    rewritten: Tensor
+
+
+def retriangulate(mesh: MeshBatch, pocket: Tensor, keep: Tensor | None = None) -> Retriangulation:
+    """Make the triangles of `pocket` (T,) bool anew, wherever their interior vertices are now.
+
+    A constrained edge is an inner wall: each piece of the pocket that it closes off is made alone.
+    keep (V,) bool, default all: the free vertices that stay in place if they can; the others are
+    spread over the pocket, by area over the squared length of the rim's edges nearby.
+
+    Fixed vertices, constrained edges, the boundary and the triangles outside the pocket stay.
+    `ok` is False, and the mesh unchanged, when a piece's rim is not a simple polygon, a fixed
+    vertex lies outside its piece or on another, or a constrained edge crosses an edge that stays.
+    Raises InvalidMeshError for a batch of several meshes or a mask of the wrong shape.
+    """
+    triangles = _triangles_of_one(mesh)
+    pocket = torch.as_tensor(pocket)
+    if pocket.shape != (len(triangles),) or pocket.dtype != torch.bool:
+        raise InvalidMeshError(f"pocket must be ({len(triangles)},) bool, not {tuple(pocket.shape)} {pocket.dtype}")
+    work = _Work(mesh, keep)
+    for rows in work.pieces(pocket.cpu().numpy()):
+        reason = work.rebuild(rows)
+        if reason:
+            return _unchanged(mesh, reason)
+    result = work.result(mesh)
+    reason = why_not_certified(mesh, result.mesh, result.rewritten)
+    return _unchanged(mesh, reason) if reason else result
+
+
+def untangle_by_pockets(mesh: MeshBatch, keep: Tensor | None = None) -> Retriangulation:
+    """Make anew the smallest pockets that leave no inverted or flat triangle in the mesh.
+
+    Each pocket starts as the bad triangles and the ring around them, and grows ring by ring until
+    its rim is a simple polygon that holds its fixed vertices; at last it is all that the boundary
+    and the constrained edges close off.  `keep` as in `retriangulate`.  With `ok` False the pockets
+    that could be repaired are, and `reason` says what stopped the others.
+    Raises InvalidMeshError for a batch of several meshes.
+    """
+    _triangles_of_one(mesh)
+    work = _Work(mesh, keep)
+    region = work.region()
+    size = np.bincount(region)
+    wanted = signs(work.points, *work.triangles.T) <= 0
+    reasons = []
+    attempt = 0
+    while wanted.any():
+        # Rings get dearer with their number; a pocket slightly too large does no harm.
+        for _ in range(1 + attempt // 3):
+            wanted = _with_ring(work.triangles, region, wanted)
+        for rows in sorted(work.pieces(wanted), key=len):
+            reason = work.rebuild(rows)
+            if reason and len(rows) == size[region[rows[0]]]:
+                reasons.append(reason)
+            if not reason or len(rows) == size[region[rows[0]]]:
+                wanted[rows] = False
+        attempt += 1
+    result = work.result(mesh)
+    if not reasons:
+        everything = torch.ones(len(mesh.triangles), dtype=torch.bool)
+        reasons = [r for r in [why_not_certified(mesh, result.mesh, everything)] if r]
+    if not reasons:
+        return result
+    return Retriangulation(result.mesh, False, "; ".join(reasons), result.moved, result.rewritten)
+
+
+def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
+    """What is wrong with `after` as a repair of `before` in the triangles `rows` (T,) bool; "" if nothing.
+
+    The exact sign of every triangle of `rows`; each edge in two triangles that run along it
+    opposite ways, or on the same boundary as before; constrained edges and fixed vertices in place;
+    the same Euler number.
+    """
+    points, triangles = _numpy(after.points.to(torch.float64)), after.triangles
+    sign = signs(points, *_numpy(triangles).T)
+    bad = np.flatnonzero((sign <= 0) & _numpy(rows))
+    if len(bad):
+        return f"triangles row {bad[0]} {triangles[int(bad[0])].tolist()} is inverted or flat ({len(bad)} rows are)"
+    count = len(points)
+    there = connectivity.tails(triangles) * count + connectivity.heads(triangles)
+    if len(there.unique()) < len(there):
+        return "two triangles run along one edge the same way"
+    twin, old_twin = connectivity.twins(triangles), connectivity.twins(before.triangles)
+    rims = [connectivity.boundary_edges(t, w) for t, w in ((triangles, twin), (before.triangles, old_twin))]
+    new, old = ((rim[:, 0] * count + rim[:, 1]).sort().values for rim in rims)
+    if not torch.equal(new, old):
+        return "the boundary edges changed"
+    kept = connectivity.edge_keys(after.constrained_edges[:, 0], after.constrained_edges[:, 1], count)
+    present = connectivity.edges(triangles, twin)
+    missing = ~torch.isin(kept, connectivity.edge_keys(present[:, 0], present[:, 1], count))
+    if bool(missing.any()):
+        return f"the constrained edge {after.constrained_edges[missing][0].tolist()} is gone"
+    if not torch.equal(after.points[after.fixed], before.points[before.fixed]):
+        return "a fixed vertex moved"
+    if connectivity.euler_number(triangles, twin) != connectivity.euler_number(before.triangles, old_twin):
+        return "the Euler number changed"
+    return ""
+
+
+class _Work:
+    """One mesh's arrays while its pockets are made anew; points in units of a power of two near its size."""
+
+    def __init__(self, mesh: MeshBatch, keep: Tensor | None) -> None:
+        self.dtype = _numpy(mesh.points).dtype
+        original = _numpy(mesh.points.to(torch.float64))
+        self.exponent = unit_exponent(original)
+        self.points = np.ldexp(original, -self.exponent)
+        self.triangles = _numpy(mesh.triangles).copy()
+        self.fixed = _numpy(mesh.fixed)
+        self.keep = np.ones(len(original), bool) if keep is None else _numpy(torch.as_tensor(keep))
+        if self.keep.shape != self.fixed.shape or self.keep.dtype != np.bool_:
+            raise InvalidMeshError(f"keep must be ({len(original)},) bool, not {self.keep.shape} {self.keep.dtype}")
+        self.walls = np.sort(self._keys(*_numpy(mesh.constrained_edges).T))
+        self.moved = np.zeros(len(original), bool)
+        self.rewritten = np.zeros(len(self.triangles), bool)
+        self._refresh()
+
+    def region(self) -> np.ndarray:
+        """(T,) what the boundary and the constrained edges close off."""
+        return self._components(np.ones(len(self.triangles), bool))
+
+    def pieces(self, pocket: np.ndarray) -> list[np.ndarray]:
+        """The rows of each part of `pocket` (T,) bool that is joined by edges and crosses no constrained one."""
+        self._refresh()
+        label = self._components(pocket)
+        rows = np.flatnonzero(pocket)
+        order = np.argsort(label[rows], kind="stable")
+        cuts = np.flatnonzero(np.diff(label[rows][order])) + 1
+        return [part for part in np.split(rows[order], cuts) if len(part)]
+
+    def rebuild(self, rows: np.ndarray) -> str:
+        """New triangles in `rows`, a piece; "" or the reason why not, with nothing changed."""
+        piece = self.triangles[rows]
+        vertices, local = np.unique(piece, return_inverse=True)
+        local = local.reshape(-1, 3)
+        h = (3 * rows[:, None] + np.arange(3)).ravel()
+        ends = np.stack([local.ravel(), np.roll(local, -1, 1).ravel()], 1)
+        inside = np.zeros(len(self.triangles), bool)
+        inside[rows] = True
+        outer = (self.twin[h] < 0) | ~inside[self.twin[h] // 3]
+        wall = np.isin(self._keys(*vertices[ends].T), self.walls)
+        built = _fill(
+            points=self.points[vertices],
+            rim=ends[outer],
+            dangling=np.unique(np.sort(ends[wall & ~outer], 1), axis=0),
+            fixed=self.fixed[vertices],
+            keep=self.keep[vertices],
+            dtype=self.dtype,
+        )
+        if isinstance(built, Obstacle):
+            return str(built.renumbered(vertices))
+        corners, points, moved = built
+        if len(corners) != len(rows):
+            return f"the piece has {len(rows)} triangles, and its rim and vertices ask for {len(corners)}"
+        # A chord of the rim may be an edge outside already, if the mesh there lies over itself.
+        keys = self._keys(*vertices[np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)].T)
+        place = np.searchsorted(self.edge_keys, keys)
+        for step in (0, 1):
+            at = np.minimum(place + step, len(self.edge_keys) - 1)
+            same = (self.edge_keys[at] == keys) & ~inside[self.edge_owner[at]]
+            taken = same & ~np.isin(keys, self._keys(*vertices[ends[outer]].T))
+            if taken.any():
+                return f"the edge {divmod(int(keys[taken][0]), len(self.points))} exists outside the pocket already"
+        self.triangles[rows] = vertices[corners]
+        self.points[vertices[moved]] = points[moved]
+        self.moved[vertices[moved]] = True
+        self.rewritten[rows] = True
+        return ""
+
+    def result(self, mesh: MeshBatch) -> Retriangulation:
+        """The mesh as it is now."""
+        device = mesh.points.device
+        places = torch.from_numpy(np.ldexp(self.points, self.exponent)).to(mesh.points)
+        moved = torch.from_numpy(self.moved).to(device)
+        points = torch.where(moved[:, None], places, mesh.points)
+        triangles = torch.from_numpy(self.triangles).to(device)
+        rewritten = torch.from_numpy(self.rewritten).to(device)
+        return Retriangulation(mesh.with_points(points).with_triangles(triangles), True, "", moved, rewritten)
+
+    def _keys(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.minimum(u, v) * len(self.points) + np.maximum(u, v)
+
+    def _refresh(self) -> None:
+        self.twin = connectivity.twins(torch.from_numpy(self.triangles)).numpy()
+        keys = self._keys(self.triangles.ravel(), np.roll(self.triangles, -1, 1).ravel())
+        order = np.argsort(keys, kind="stable")
+        self.edge_keys, self.edge_owner = keys[order], order // 3
+        self.wall = np.isin(keys, self.walls)
+
+    def _components(self, pocket: np.ndarray) -> np.ndarray:
+        """(T,) labels of the parts of `pocket` and of its complement, walls between."""
+        inside = np.repeat(pocket, 3)
+        blocked = self.wall | (inside != inside[self.twin])
+        labels = connectivity.triangle_components(
+            torch.from_numpy(self.triangles), torch.from_numpy(self.twin), torch.from_numpy(blocked)
+        )
+        return labels.numpy()
+
+
+def _fill(
+    points: np.ndarray, rim: np.ndarray, dangling: np.ndarray, fixed: np.ndarray, keep: np.ndarray, dtype: np.dtype
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | Obstacle:
+    """Triangulate inside the directed edges `rim` (E, 2) with all of `points` (V, 2).
+
+    dangling (K, 2) edges inside that must be there; fixed (V,) bool vertices that must stay; keep
+    (V,) bool vertices that stay if they can; dtype: that of the places to choose.
+    Returns the triangles (T, 3), the points, and which moved (V,) bool; or what is in the way.
+    """
+    loops = loops_of(rim)
+    length = np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1)
+    spacing = np.bincount(rim.ravel(), np.repeat(length, 2), len(points))
+    degree = np.bincount(rim.ravel(), minlength=len(points))
+    work = triangulate_polygon(points.copy(), loops, spacing / np.maximum(degree, 1))
+    if isinstance(work, Obstacle):
+        return work
+    on_rim = degree > 0
+    anchors = np.flatnonzero(fixed & ~on_rim)
+    refused = _insert(work, anchors)
+    if len(refused):
+        return Obstacle(
+            "the fixed vertex {} lies outside its region, on its rim, or on another vertex", (int(refused[0]),)
+        )
+    crossing = crossing_pairs(points, dangling)
+    if len(crossing):
+        ends = tuple(dangling[crossing[0]].ravel().tolist())
+        return Obstacle("the constrained edges [{}, {}] and [{}, {}] meet", ends)
+    obstacle = work.recover(dangling)
+    if obstacle is not None:
+        return obstacle
+    free = ~fixed & ~on_rim
+    stay = np.flatnonzero(free & keep)
+    stay = stay[_scattered(points[stay], _CLUSTER * _mean_spacing(work, len(stay)))]
+    refused = _insert(work, stay)
+    moved = free.copy()
+    moved[np.setdiff1d(stay, refused)] = False
+    left = work.spread(np.flatnonzero(moved), dtype)
+    if len(left):
+        return Obstacle(f"no room between floating-point numbers for {len(left)} vertices, as {{}}", (int(left[0]),))
+    return work.corners, work.points, moved
+
+
+def _insert(work: Triangulation, vertices: np.ndarray) -> np.ndarray:
+    """Put `vertices` in where they are; those that cannot, returned."""
+    if not len(vertices):
+        return vertices
+    # The rim's triangles are long and their boxes large; a few vertices in, and the rest is located fast.
+    order = np.random.default_rng(0).permutation(vertices)
+    cuts = [len(order) // 64, len(order) // 8] if len(order) > 2000 else []
+    refused = []
+    for part in np.split(order, cuts):
+        home = locate(work.points, part, work.corners)
+        refused += [part[home < 0], work.insert(part[home >= 0], home[home >= 0])]
+    return np.concatenate(refused)
+
+
+def _mean_spacing(work: Triangulation, count: int) -> float:
+    """The edge of a square that each of `count` vertices had if they shared the triangles' area."""
+    a, b, c = (work.points[work.corners[:, i]] for i in range(3))
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return float(np.sqrt(np.abs(twice).sum() / 2 / max(count, 1)))
+
+
+def _scattered(points: np.ndarray, distance: float) -> np.ndarray:
+    """Rows of `points` (N, 2), one of each square of side `distance`; all if that cannot be told."""
+    with np.errstate(all="ignore"):
+        square = np.floor((points - points.min(0, initial=np.inf)) / distance)
+    if not np.isfinite(square).all():
+        return np.arange(len(points))
+    return np.unique(square[:, 0] + 1j * square[:, 1], return_index=True)[1]
+
+
+def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """`wanted` (T,) bool and the triangles of the same region that share a vertex with them."""
+    keys = triangles * (region.max() + 1) + region[:, None]
+    return np.asarray(np.isin(keys, keys[wanted]).any(1))
+
+
+def _numpy(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy()
+
+
+def _triangles_of_one(mesh: MeshBatch) -> Tensor:
+    if len(mesh) != 1:
+        raise InvalidMeshError(f"pockets are made anew in one mesh at a time, not {len(mesh)}; use .split()")
+    return mesh.triangles
+
+
+def _unchanged(mesh: MeshBatch, reason: str) -> Retriangulation:
+    device = mesh.points.device
+    nowhere = [torch.zeros(len(rows), dtype=torch.bool, device=device) for rows in (mesh.points, mesh.triangles)]
+    return Retriangulation(mesh, False, reason, *nowhere)

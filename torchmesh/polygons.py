@@ -1,0 +1,238 @@
+"""Polygons with holes, given as loops of vertices: are they simple, what is inside, their triangulation.
+
+A domain lies on the left of its loops: one outer loop counter-clockwise, holes clockwise.  Loops
+may share vertices; Shapely only proposes, exact signs decide.
+"""
+
+import numpy as np
+import shapely
+import torch
+
+from .connectivity import boundary_loops
+from .insertion import Obstacle, Triangulation, signs
+
+# Rows of a vertices-times-edges table worked on at once.
+_CHUNK = 2_000_000
+
+
+def unit_exponent(points: np.ndarray) -> int:
+    """k such that dividing by 2**k brings the points near 1 and loses no bit; 0 if none does."""
+    exponent = int(np.frexp(np.abs(points).max())[1])
+    there = np.ldexp(points, -exponent)
+    return exponent if np.array_equal(np.ldexp(there, exponent), points) else 0
+
+
+def loops_of(rim: np.ndarray) -> list[np.ndarray]:
+    """The closed walks along the directed edges `rim` (E, 2), none of which passes a vertex twice."""
+    return [loop.numpy() for loop in boundary_loops(torch.from_numpy(rim))]
+
+
+def loop_edges(loop: np.ndarray) -> np.ndarray:
+    """(n, 2) the directed edges of a loop (n,)."""
+    return np.stack([loop, np.roll(loop, -1)], 1)
+
+
+def crossing_pairs(points: np.ndarray, segments: np.ndarray, group: np.ndarray | None = None) -> np.ndarray:
+    """(P, 2) the pairs of rows of `segments` (S, 2) that meet other than in a vertex both have.
+
+    They cross, touch, overlap, or end in different vertices at one place.  `group` (S,): only pairs
+    of the same group are looked at.
+    """
+    if len(segments) < 2:
+        return np.zeros((0, 2), np.int64)
+    ends = points[segments]
+    low, high = ends.min(1), ends.max(1)
+    boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+    i, j = shapely.STRtree(boxes).query(boxes)
+    near = i < j
+    if group is not None:
+        near &= group[i] == group[j]
+    i, j = i[near], j[near]
+    # Boxes computed again here: what GEOS does with zero-width boxes need not concern us.
+    near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(1)
+    i, j = i[near], j[near]
+    (a, b), (c, d) = segments[i].T, segments[j].T
+    c_side, d_side = signs(points, a, b, c), signs(points, a, b, d)
+    a_side, b_side = signs(points, c, d, a), signs(points, c, d, b)
+    meet = (c_side * d_side <= 0) & (a_side * b_side <= 0)
+    shared = ((a == c) | (a == d)).astype(int) + ((b == c) | (b == d))
+    flat = (c_side == 0) & (d_side == 0)
+    # Two edges with one common vertex meet elsewhere only if they run the same way from it.
+    for at, p, q in ((a == c, b, d), (a == d, b, c), (b == c, a, d), (b == d, a, c)):
+        origin = np.where((a == c) | (a == d), a, b)
+        one, two = points[p] - points[origin], points[q] - points[origin]
+        same_way = (np.sign(one) == np.sign(two)).all(1)
+        meet = np.where(at & (shared == 1), flat & same_way, meet)
+    meet |= shared == 2
+    return np.stack([i[meet], j[meet]], 1).astype(np.int64)
+
+
+def turns_left(points: np.ndarray, loop: np.ndarray) -> int:
+    """1 for a counter-clockwise simple loop, -1 for a clockwise one, 0 when its first corner is flat."""
+    xy = points[loop]
+    k = int(np.lexsort((xy[:, 1], xy[:, 0]))[0])
+    corner = loop[[k - 1, k, (k + 1) % len(loop)]]
+    return int(signs(points, corner[:1], corner[1:2], corner[2:])[0])
+
+
+def winding(points: np.ndarray, p: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(N,) how often the closed walks made of the directed `edges` (E, 2) go round the vertices p (N,).
+
+    Exact for vertices not on an edge; a vertex on one is an end of a ray, counted half-open.
+    """
+    total = np.zeros(len(p), np.int64)
+    y = points[:, 1]
+    step = max(1, _CHUNK // max(1, len(edges)))
+    for start in range(0, len(p), step):
+        part = p[start : start + step]
+        up = (y[edges[:, 0]] <= y[part, None]) & (y[edges[:, 1]] > y[part, None])
+        down = (y[edges[:, 0]] > y[part, None]) & (y[edges[:, 1]] <= y[part, None])
+        i, e = np.nonzero(up | down)
+        side = signs(points, edges[e, 0], edges[e, 1], part[i])
+        counted = np.where(up[i, e] & (side > 0), 1, 0) - np.where(down[i, e] & (side < 0), 1, 0)
+        np.add.at(total, start + i, counted)
+    return total
+
+
+def why_not_simple(points: np.ndarray, loops: list[np.ndarray]) -> Obstacle | None:
+    """What keeps the loops from bounding one domain on their left, if anything."""
+    rim = np.concatenate([loop_edges(loop) for loop in loops])
+    pairs = crossing_pairs(points, rim)
+    if len(pairs):
+        return Obstacle("the edges [{}, {}] and [{}, {}] of the rim meet", tuple(rim[pairs[0]].ravel().tolist()))
+    turn = np.array([turns_left(points, loop) for loop in loops])
+    if (turn > 0).sum() != 1 or (turn == 0).any():
+        return Obstacle(f"the rim has {(turn > 0).sum()} outer loops, not one")
+    outer = loops[int(turn.argmax())]
+    for i, hole in enumerate(loops):
+        if turn[i] > 0:
+            continue
+        inner = _one_not_in(hole, outer)
+        if winding(points, inner, loop_edges(outer))[0] != 1:
+            return Obstacle("the hole through vertex {} lies outside the outer loop", tuple(inner.tolist()))
+    nested = nested_holes(points, [loops[i] for i in np.flatnonzero(turn < 0)])
+    if nested is not None:
+        return Obstacle(
+            "the hole through vertex {} lies inside the one through vertex {}", (int(nested[0][0]), int(nested[1][0]))
+        )
+    return None
+
+
+def nested_holes(points: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+    """A hole and another that holds it, of clockwise loops that do not cross; None if there is none."""
+    if len(holes) < 2:
+        return None
+    low = np.stack([points[hole].min(0) for hole in holes])
+    high = np.stack([points[hole].max(0) for hole in holes])
+    boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+    for i, j in shapely.STRtree(boxes).query(boxes, predicate="covered_by").T.tolist():
+        if i != j and winding(points, _one_not_in(holes[i], holes[j]), loop_edges(holes[j]))[0]:
+            return holes[i], holes[j]
+    return None
+
+
+def _one_not_in(loop: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(1,) a vertex of `loop` that `other` does not pass; its first if it passes them all."""
+    alone = loop[~np.isin(loop, other)]
+    return alone[:1] if len(alone) else loop[:1]
+
+
+def triangulate_polygon(points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray) -> Triangulation | Obstacle:
+    """The domain on the left of `loops`, triangulated with exactly the loops' vertices.
+
+    points (V, 2) float64; spacing (V,) as in `Triangulation`.  Returns what is wrong with the loops
+    when they bound no domain.  Tries GEOS's constrained Delaunay triangulation, checks it exactly,
+    and where it does not hold (near-degenerate loops) inserts the vertices into a big triangle,
+    recovers the rim and cuts it out: exact from end to end.
+    """
+    obstacle = why_not_simple(points, loops)
+    if obstacle:
+        return obstacle
+    corners = _proposed(points, loops)
+    if corners is None:
+        built = _cut_out(points, loops, spacing)
+        if isinstance(built, Obstacle):
+            return built
+        corners = built
+    return Triangulation(points, corners, spacing)
+
+
+def is_triangulation_of(points: np.ndarray, corners: np.ndarray, rim: np.ndarray) -> bool:
+    """All of `corners` (T, 3) counter-clockwise, each edge in two of them, but `rim` (E, 2) in one as directed."""
+    if not len(corners) or (signs(points, *corners.T) <= 0).any():
+        return False
+    count = len(points)
+    ways = np.concatenate([corners, np.roll(corners, -1, 1)]).reshape(2, -1)
+    there, back = ways[0] * count + ways[1], ways[1] * count + ways[0]
+    single = np.sort(there[~np.isin(there, back)])
+    unique = len(np.unique(there)) == len(there)
+    return unique and np.array_equal(single, np.sort(rim[:, 0] * count + rim[:, 1]))
+
+
+def _proposed(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray | None:
+    """GEOS's triangles (T, 3) if exact signs confirm them."""
+    turn = [turns_left(points, loop) for loop in loops]
+    outer = int(np.argmax(turn))
+    polygon = shapely.Polygon(points[loops[outer]], [points[loop] for i, loop in enumerate(loops) if i != outer])
+    if not polygon.is_valid:
+        return None
+    pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    places = shapely.get_coordinates(pieces)
+    if not len(pieces) or len(places) != 4 * len(pieces):
+        return None
+    rim = np.unique(np.concatenate(loops))
+    known = points[rim, 0] + 1j * points[rim, 1]
+    order = np.argsort(known)
+    wanted = (places[:, 0] + 1j * places[:, 1]).reshape(-1, 4)[:, :3]
+    found = np.minimum(np.searchsorted(known[order], wanted), len(rim) - 1)
+    if (known[order][found] != wanted).any():
+        return None
+    corners = rim[order[found]]
+    turned = signs(points, *corners.T) < 0
+    corners[turned] = corners[turned][:, ::-1]
+    rim_edges = np.concatenate([loop_edges(loop) for loop in loops])
+    return corners if is_triangulation_of(points, corners, rim_edges) else None
+
+
+def _cut_out(points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray) -> np.ndarray | Obstacle:
+    """(T, 3) the same by exact steps only: a big triangle, the vertices, the rim, and what is on its left."""
+    count = len(points)
+    rim = np.concatenate([loop_edges(loop) for loop in loops])
+    vertices = np.unique(rim)
+    reach = 2.0 ** np.ceil(np.log2(np.abs(points[vertices]).max()) + 3)
+    big = np.array([[-reach, -reach], [reach, -reach], [0, reach]])
+    work = Triangulation(
+        np.concatenate([points, big]), np.array([[count, count + 1, count + 2]]), np.concatenate([spacing, [reach] * 3])
+    )
+    refused = work.insert(vertices, np.zeros(len(vertices), np.int64))
+    if len(refused):
+        return Obstacle("vertex {} of the rim is in the place of another", (int(refused[0]),))
+    obstacle = work.recover(rim)
+    if obstacle:
+        return obstacle
+    flat = work.corners.ravel()
+    keys = flat * (count + 3) + work.corners[:, [1, 2, 0]].ravel()
+    inside = np.zeros(len(work.corners), bool)
+    front = np.flatnonzero(np.isin(keys, rim[:, 0] * (count + 3) + rim[:, 1])) // 3
+    while len(front):
+        inside[front] = True
+        h = (3 * front[:, None] + np.arange(3)).ravel()
+        front = np.unique(work.twin[h[~work.locked[h]]] // 3)
+        front = front[(front >= 0) & ~inside[front]]
+    corners = work.corners[inside]
+    return corners if is_triangulation_of(points, corners, rim) else Obstacle("the rim does not enclose one domain")
+
+
+def locate(points: np.ndarray, vertices: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(N,) a closed triangle of `corners` (T, 3) around each vertex (N,), -1 for those outside them all."""
+    home = np.full(len(vertices), -1)
+    if not len(vertices):
+        return home
+    pieces = shapely.polygons(points[corners])
+    shapely.prepare(pieces)
+    t, i = shapely.STRtree(shapely.points(points[vertices])).query(pieces, predicate="intersects")
+    a, b, c = corners[t].T
+    p = vertices[i]
+    inside = (signs(points, a, b, p) >= 0) & (signs(points, b, c, p) >= 0) & (signs(points, c, a, p) >= 0)
+    home[i[inside]] = t[inside]
+    return home

@@ -1,0 +1,58 @@
+"""How good a mesh is: areas, shapes, angles, per triangle and per mesh."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .mesh import MeshBatch
+from .predicates import orientation
+from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
+from .triangle import angles, corners, inverse_mean_ratio, signed_area
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """The quality of a batch; (T,) per triangle, (B,) per mesh.
+
+    area                (T,) signed, in the mesh's unit squared
+    inverse_mean_ratio  (T,) 1 for an equilateral triangle, infinite for a flat one
+    upright             (T,) bool, area positive by exact sign
+    mean, max           (B,) of the inverse mean ratio, over all triangles
+    inverted            (B,) int64, triangles that are not upright: area negative or zero
+    """
+
+    area: Tensor
+    inverse_mean_ratio: Tensor
+    upright: Tensor
+    mean: Tensor
+    max: Tensor
+    inverted: Tensor
+
+
+def quality(batch: MeshBatch) -> Quality:
+    """Measure a batch; inverted triangles count with the shape of their mirror image (Kim 2017)."""
+    t = corners(batch.points.to(torch.float64), batch.triangles)
+    ratio = inverse_mean_ratio(t)
+    upright = orientation(*t) > 0
+    offsets = batch.triangle_offsets
+    return Quality(
+        area=signed_area(t),
+        inverse_mean_ratio=ratio,
+        upright=upright,
+        mean=segment_sum(ratio, offsets) / counts_from_offsets(offsets),
+        max=segment_max(ratio, offsets),
+        inverted=segment_count(~upright, offsets),
+    )
+
+
+def upright(batch: MeshBatch) -> Tensor:
+    """(T,) bool: the triangle's area is positive, by exact sign."""
+    return orientation(*corners(batch.points, batch.triangles)) > 0
+
+
+def minimum_angle(batch: MeshBatch) -> Tensor:
+    """(B,) smallest unsigned angle of each mesh, in degrees."""
+    at = angles(corners(batch.points.to(torch.float64), batch.triangles))
+    smallest = torch.minimum(torch.minimum(at[0], at[1]), at[2])
+    return torch.rad2deg(segment_min(smallest, batch.triangle_offsets))

@@ -1,0 +1,58 @@
+"""Ragged arithmetic: the rows of many meshes laid end to end, reduced per mesh or spread to rows.
+
+    rows      a a a b b c c c c        (N,)
+    offsets   0     3   5       9      (B+1,)
+
+Every reduction runs over one mesh's rows in their own order, so its bits do not depend on what
+else is in the batch.
+"""
+
+import torch
+from torch import Tensor
+
+
+def offsets_from_counts(counts: Tensor) -> Tensor:
+    """(B,) row counts to (B+1,) int64 offsets."""
+    return torch.nn.functional.pad(counts.to(torch.int64).cumsum(0), (1, 0))
+
+
+def counts_from_offsets(offsets: Tensor) -> Tensor:
+    """(B+1,) offsets to (B,) row counts."""
+    return offsets[1:] - offsets[:-1]
+
+
+def segment_ids(offsets: Tensor) -> Tensor:
+    """(B+1,) offsets to (N,) int64: the mesh each row belongs to."""
+    meshes = torch.arange(len(offsets) - 1, device=offsets.device)
+    return meshes.repeat_interleave(counts_from_offsets(offsets))
+
+
+def spread(per_mesh: Tensor, offsets: Tensor) -> Tensor:
+    """(B, ...) one value a mesh to (N, ...) one value a row."""
+    return per_mesh.repeat_interleave(counts_from_offsets(offsets), dim=0)
+
+
+def segment_sum(values: Tensor, offsets: Tensor) -> Tensor:
+    """(N,) floating rows to their (B,) sums; 0 for a mesh without rows."""
+    return torch.segment_reduce(values, "sum", offsets=offsets, initial=0.0)
+
+
+def segment_max(values: Tensor, offsets: Tensor, empty: float = -torch.inf) -> Tensor:
+    """(N,) floating rows to their (B,) maxima; `empty` is the floor and the empty mesh's value."""
+    return torch.segment_reduce(values, "max", offsets=offsets, initial=empty)
+
+
+def segment_min(values: Tensor, offsets: Tensor, empty: float = torch.inf) -> Tensor:
+    """(N,) floating rows to their (B,) minima; `empty` is the ceiling and the empty mesh's value."""
+    return torch.segment_reduce(values, "min", offsets=offsets, initial=empty)
+
+
+def segment_count(flags: Tensor, offsets: Tensor) -> Tensor:
+    """(N,) bool rows to the (B,) int64 number that are true."""
+    totals = torch.nn.functional.pad(flags.to(torch.int64).cumsum(0), (1, 0))
+    return totals[offsets[1:]] - totals[offsets[:-1]]
+
+
+def segment_any(flags: Tensor, offsets: Tensor) -> Tensor:
+    """(N,) bool rows to (B,) bool: is any of a mesh's rows true."""
+    return segment_count(flags, offsets) > 0

@@ -1,0 +1,121 @@
+"""Step 3: move the free vertices of a valid mesh to minimise the inverse mean ratio."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .energies import InverseMeanRatio, equilateral
+from .lbfgs import LbfgsOptions, minimise
+from .mesh import MeshBatch
+from .packing import MeshObjective, pack
+from .quality import upright
+from .segments import segment_any, spread
+from .status import Status
+from .triangle import corners, squared_edge_lengths
+
+
+@dataclass(frozen=True)
+class SmoothOptions:
+    """How `smooth` minimises the sum of q^p, q the inverse mean ratio (Kim 2017, equation 4).
+
+    power             p; 2 in the paper, higher cares more for the worst triangle
+    max_iterations    L-BFGS steps tried at most
+    energy_tolerance  a mesh is done when five steps together lower its energy by less than this part
+    gradient_tolerance  or when the root mean square of its scaled gradient is below this
+    """
+
+    power: int = 2
+    max_iterations: int = 300
+    energy_tolerance: float = 1e-6
+    gradient_tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if self.power < 1:
+            raise ValueError(f"SmoothOptions.power must be at least 1, not {self.power}")
+        if self.max_iterations < 0:
+            raise ValueError(f"SmoothOptions.max_iterations must not be negative, but is {self.max_iterations}")
+        for name in ("energy_tolerance", "gradient_tolerance"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"SmoothOptions.{name} must not be negative, but is {getattr(self, name)}")
+
+
+@dataclass(frozen=True, eq=False)
+class MoveInfo:
+    """What a vertex-moving minimisation did, per mesh (B,).
+
+    energy and gradient (root mean square of the gradient per free coordinate, scaled by the local
+    edge length) at the end; steps accepted; energies evaluated; `Status` as int64.
+    """
+
+    energy: Tensor
+    gradient: Tensor
+    iterations: Tensor
+    evaluations: Tensor
+    status: Tensor
+
+
+Monitor = Callable[[int, Tensor], None]
+
+
+def smooth(
+    batch: MeshBatch,
+    options: SmoothOptions | None = None,
+    *,
+    free: Tensor | None = None,
+    monitor: Monitor | None = None,
+) -> tuple[MeshBatch, MoveInfo]:
+    """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
+
+    No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
+    `Status.INVERTED`.
+
+    free     (V,) bool, move only these of the vertices that are not fixed
+    monitor  called with the iteration and the energies of the meshes still running
+    """
+    options = options or SmoothOptions()
+    refused = segment_any(~upright(batch), batch.triangle_offsets)
+    may_move = ~batch.fixed & ~spread(refused, batch.point_offsets)
+    if free is not None:
+        may_move &= free
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
+    objective = MeshObjective(
+        InverseMeanRatio(options.power),
+        equilateral(),
+        packing.rows,
+        packing.anchored,
+        packing.block_offsets,
+        packing.triangle_offsets,
+        packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
+    )
+    result = minimise(
+        objective,
+        packing.unknowns,
+        LbfgsOptions(
+            max_iterations=options.max_iterations,
+            gradient_tolerance=options.gradient_tolerance,
+            energy_tolerance=options.energy_tolerance,
+            first_step=0.05,
+            largest_step=0.5,
+        ),
+        monitor,
+    )
+    moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
+    # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
+    worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
+    status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
+    if bool(worse.any()):
+        back = spread(worse, batch.point_offsets)[:, None]
+        moved = batch.with_points(torch.where(back, batch.points, moved.points))
+    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status)
+
+
+def vertex_size(batch: MeshBatch) -> Tensor:
+    """(V,) root mean square edge length round each vertex, in the batch's unit; 0 for unused ones."""
+    ab, bc, ca = squared_edge_lengths(corners(batch.points.to(torch.float64), batch.triangles))
+    a, b, c = batch.triangles.unbind(1)
+    total = ab.new_zeros(len(batch.points))
+    total.index_add_(0, a, ab + ca).index_add_(0, b, ab + bc).index_add_(0, c, bc + ca)
+    count = torch.bincount(batch.triangles.reshape(-1), minlength=len(batch.points)).clamp_min(1)
+    return (total / (2 * count)).sqrt()

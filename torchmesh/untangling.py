@@ -1,0 +1,197 @@
+"""Step 2: move the free vertices until no triangle is inverted; triangles stay as they are."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from .energies import Regularised, Target, UntangleBeta, equilateral
+from .lbfgs import BLOCK, LbfgsOptions, minimise
+from .mesh import MeshBatch
+from .packing import MeshObjective, Packing, pack
+from .quality import upright
+from .segments import counts_from_offsets, segment_any, segment_min, segment_sum, spread
+from .smoothing import Monitor, MoveInfo, vertex_size
+from .status import Status
+from .triangle import SQRT3, corners, signed_area
+
+
+@dataclass(frozen=True)
+class UntangleOptions:
+    """How `untangle` works.
+
+    method             "regularised": the foldover-free functional with a local size for each triangle's
+                       target (Garanzha et al. 2021); "beta": Knupp's untangle-beta (Kim 2017, equation 2)
+    beta               beta of "beta": the area below which a triangle is pushed, as a part of the
+                       mesh's mean absolute area
+    absolute_beta      beta in the mesh's own unit of area instead, as printed in Kim 2017 (0.01 there)
+    max_iterations     L-BFGS steps tried at most, for "regularised" per value of epsilon
+    max_continuations  values of epsilon tried at most
+    """
+
+    method: Literal["regularised", "beta"] = "regularised"
+    beta: float = 0.01
+    absolute_beta: float | None = None
+    max_iterations: int = 100
+    max_continuations: int = 30
+
+    def __post_init__(self) -> None:
+        if self.method not in ("regularised", "beta"):
+            raise ValueError(f"UntangleOptions.method must be 'regularised' or 'beta', not {self.method!r}")
+        for name in ("max_iterations", "max_continuations"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"UntangleOptions.{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("beta", "absolute_beta"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise ValueError(f"UntangleOptions.{name} must not be negative, but is {value}")
+
+
+def untangle(
+    batch: MeshBatch,
+    options: UntangleOptions | None = None,
+    *,
+    free: Tensor | None = None,
+    monitor: Monitor | None = None,
+) -> tuple[MeshBatch, MoveInfo]:
+    """Move the free vertices until every triangle is upright, if that can be had with these triangles.
+
+    A mesh without inverted triangles comes back unmoved.  `info.status` is `Status.VALID` for
+    every mesh that ends valid.
+
+    free     (V,) bool, move only these of the vertices that are not fixed
+    monitor  called with the iteration and the energies of the meshes still running
+    """
+    options = options or UntangleOptions()
+    tangled = segment_any(~upright(batch), batch.triangle_offsets)
+    may_move = ~batch.fixed & spread(tangled, batch.point_offsets)
+    if free is not None:
+        may_move &= free
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
+    method = _untangle_beta if options.method == "beta" else _regularised
+    unknowns, info = method(batch, packing, options, monitor)
+    moved = batch.with_points(packing.unpack(unknowns, batch.points))
+    valid = ~segment_any(~upright(moved), batch.triangle_offsets)
+    status = torch.where(valid, Status.VALID, torch.where(info.status == Status.VALID, Status.STALLED, info.status))
+    return moved, MoveInfo(info.energy, info.gradient, info.iterations, info.evaluations, status)
+
+
+def _untangle_beta(
+    batch: MeshBatch, packing: Packing, options: UntangleOptions, monitor: Monitor | None
+) -> tuple[Tensor, MoveInfo]:
+    area = signed_area(corners(batch.points.to(torch.float64), batch.triangles)).abs()
+    if options.absolute_beta is None:
+        mean = segment_sum(area, batch.triangle_offsets) / counts_from_offsets(batch.triangle_offsets)
+        beta = options.beta * mean
+    else:
+        mean = beta = torch.full_like(packing.unit, options.absolute_beta)
+    # Areas in units of the mesh's mean, so that the tolerances mean the same on every mesh.
+    mean = torch.where(mean > 0, mean, 1.0)
+    ratio = packing.unit / mean * packing.unit
+    objective = MeshObjective(
+        UntangleBeta(spread(beta / mean, packing.triangle_offsets)),
+        Target(1.0, 0.0, 1.0, spread(ratio, packing.triangle_offsets)),
+        packing.rows,
+        packing.anchored,
+        packing.block_offsets,
+        packing.triangle_offsets,
+        # The Hessian of (area)^2 at a vertex is the square of the edge opposite: large triangles are
+        # stiff, so lengths are measured in mean area over local size.
+        packing.spread_vertices(
+            spread(mean / packing.unit, batch.point_offsets) / vertex_size(batch).clamp_min(1e-150)
+        ),
+    )
+    settings = LbfgsOptions(
+        max_iterations=options.max_iterations, gradient_tolerance=1e-12, energy_tolerance=1e-4, first_step=0.1
+    )
+    result = minimise(objective, packing.unknowns, settings, monitor)
+    return result.unknowns, MoveInfo(
+        result.energy, result.gradient, result.iterations, result.evaluations, result.status
+    )
+
+
+def _regularised(
+    batch: MeshBatch, packing: Packing, options: UntangleOptions, monitor: Monitor | None
+) -> tuple[Tensor, MoveInfo]:
+    size = local_size(batch) / spread(packing.unit, batch.point_offsets)
+    side = size[batch.triangles].mean(1)[packing.triangles]
+    objective = MeshObjective(
+        Regularised(1.0),
+        equilateral(side),
+        packing.rows,
+        packing.anchored,
+        packing.block_offsets,
+        packing.triangle_offsets,
+        packing.spread_vertices(size),
+    )
+    settings = LbfgsOptions(
+        max_iterations=options.max_iterations, gradient_tolerance=1e-6, energy_tolerance=1e-3, first_step=0.1
+    )
+    unknowns = packing.unknowns.clone()
+    meshes = len(packing.unit)
+    whole = torch.zeros(meshes, dtype=torch.int64, device=unknowns.device)
+    info = MoveInfo(unknowns.new_zeros(meshes), unknowns.new_zeros(meshes), whole, whole.clone(), whole.clone())
+    eps = unknowns.new_ones(meshes)
+    rows, place = torch.arange(meshes, device=eps.device), torch.arange(len(unknowns), device=eps.device)
+    lowest = segment_min(objective.det(unknowns), objective.triangle_offsets)
+    for _ in range(options.max_continuations):
+        info.status[rows[lowest > 0]] = Status.VALID
+        going = info.status[rows] == Status.RUNNING
+        if not bool(going.any()):
+            break
+        if not bool(going.all()):
+            blocks = counts_from_offsets(objective.block_offsets)
+            place = place[going.repeat_interleave(blocks).repeat_interleave(BLOCK)]
+            rows, objective = rows[going], objective.select(going)
+        here = eps[rows]
+        objective = replace(objective, energy=Regularised(spread(here, objective.triangle_offsets)))
+        before = objective(unknowns[place])[0]
+        result = minimise(objective, unknowns[place], settings, monitor)
+        unknowns[place] = result.unknowns
+        lowest = segment_min(objective.det(result.unknowns), objective.triangle_offsets)
+        eps[rows] = _next_eps(here, lowest, before, result.energy)
+        info.energy[rows], info.gradient[rows] = result.energy, result.gradient
+        info.iterations[rows] += result.iterations
+        info.evaluations[rows] += result.evaluations
+        # Neither the vertices nor epsilon move any more.
+        stuck = (result.iterations == 0) | ((eps[rows] >= 0.999 * here) & (result.status == Status.SETTLED))
+        info.status[rows[stuck]] = Status.STALLED
+    info.status[rows[lowest > 0]] = Status.VALID
+    info.status[info.status == Status.RUNNING] = Status.ITERATION_LIMIT
+    return unknowns, info
+
+
+def _next_eps(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """(B,) the next epsilon from the smallest determinant and the energies at this one (Garanzha et al. 2021)."""
+    sigma = (1 - after / before).clamp_min(0.1)
+    root = torch.sqrt(eps * eps + lowest * lowest)
+    chi = torch.where(lowest > 0, 0.5 * (lowest + root), 0.5 * eps * eps / (root - lowest))
+    mu = (1 - sigma) * chi
+    lower = 2 * torch.sqrt((mu * (mu - lowest)).clamp_min(0))
+    return torch.where(lowest < mu, lower, 0.0).clamp_min(1e-9)
+
+
+def local_size(batch: MeshBatch, sweeps: int = 20) -> Tensor:
+    """(V,) side of the equilateral triangle a vertex's triangles should have, in the batch's unit.
+
+    From the mean |area| round each vertex, averaged in the logarithm over neighbours `sweeps`
+    times, then scaled per mesh so that the triangles' target areas sum to the enclosed area.
+    """
+    t = corners(batch.points.to(torch.float64), batch.triangles)
+    area = signed_area(t)
+    offsets = batch.triangle_offsets
+    enclosed = segment_sum(area, offsets)
+    mean = spread(segment_sum(area.abs(), offsets) / counts_from_offsets(offsets), offsets)
+    share = (area.abs() / mean).clamp_min(1e-6)
+    corner = batch.triangles.reshape(-1)
+    count = torch.bincount(corner, minlength=len(batch.points)).clamp_min(1)
+    log_size = share.new_zeros(len(batch.points)).index_add_(0, corner, share.repeat_interleave(3))
+    log_size = torch.log(log_size.clamp_min(1e-12) / count)
+    for _ in range(sweeps):
+        per_triangle = log_size[batch.triangles].mean(1)
+        log_size = log_size.new_zeros(len(log_size)).index_add_(0, corner, per_triangle.repeat_interleave(3)) / count
+    size = torch.exp(0.5 * log_size)
+    target = size[batch.triangles].mean(1).square() * (SQRT3 / 4)
+    factor = (enclosed.abs() / segment_sum(target, offsets)).sqrt()
+    return size * spread(factor, batch.point_offsets)

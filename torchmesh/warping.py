@@ -1,0 +1,50 @@
+"""FEMWARP: carry the interior of a mesh along with its boundary."""
+
+import torch
+from torch import Tensor
+
+from .errors import InvalidMeshError
+from .mesh import MeshBatch, triangle_mesh
+from .quality import upright
+from .stiffness import cotangent_weights, harmonic_extension
+from .triangle import corners
+
+
+def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
+    """Move the fixed vertices to `new_points` and let the others follow harmonically.
+
+    new_points  (V, 2) in the batch's unit; the rows of fixed vertices count
+
+    Each interior vertex keeps its place as a weighted mean of its neighbours, with the P1
+    stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
+    Vavasis, Analysis of and workarounds for element reversal, BIT 50, 2010).  A large motion may
+    invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
+    undeformed mesh is inverted, or new positions are not finite or of another shape.
+    """
+    target = torch.as_tensor(new_points).to(batch.points)
+    if target.shape != batch.points.shape:
+        raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
+    bad = batch.fixed & ~target.isfinite().all(1)
+    if bool(bad.any()):
+        row = int(bad.nonzero()[0, 0])
+        raise InvalidMeshError(f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite place")
+    fallen = ~upright(batch)
+    if bool(fallen.any()):
+        row = int(fallen.nonzero()[0, 0])
+        raise InvalidMeshError(
+            f"mesh {int(triangle_mesh(batch)[row])}: triangles row {row} is inverted; "
+            "femwarp starts from a valid mesh, so improve it first"
+        )
+    weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
+    target = torch.where(batch.fixed[:, None], target, batch.points)
+    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target))
+
+
+def relax(batch: MeshBatch) -> MeshBatch:
+    """Every free vertex to the mean of its neighbours, whatever its place was.
+
+    With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
+    Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.
+    """
+    one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
+    return batch.with_points(harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points))
