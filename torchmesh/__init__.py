@@ -16,3 +16,33 @@ from .smoothing import MoveInfo, SmoothOptions, smooth
 from .status import Status
 from .untangling import UntangleOptions, untangle
 from .warping import femwarp, relax
+
+__all__ = [
+    "ConvergenceError",
+    "FlipInfo",
+    "FlipOptions",
+    "ImproveOptions",
+    "InvalidMeshError",
+    "MeshBatch",
+    "MeshError",
+    "MeshIOError",
+    "MeshWarning",
+    "MissingDependencyError",
+    "MoveInfo",
+    "Progress",
+    "Quality",
+    "Report",
+    "SmoothOptions",
+    "Status",
+    "Step",
+    "UntangleOptions",
+    "femwarp",
+    "flip_to_delaunay",
+    "improve",
+    "join",
+    "minimum_angle",
+    "quality",
+    "relax",
+    "smooth",
+    "untangle",
+]

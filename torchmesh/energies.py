@@ -51,7 +51,7 @@ def target_of(t: Corners) -> Target:
     )
 
 
-_E = TypeVar("_E", bound="Energy")
+_R = TypeVar("_R")
 
 
 class Energy(Protocol):
@@ -175,39 +175,54 @@ def energy_and_forces(
 
     Returns phi (T,), the gradient (N,) and the smallest-det input det (T,).
     """
+    gradient = torch.zeros_like(coordinates)
+    phi = coordinates.new_empty(rows.shape[1])
+    det = torch.empty_like(phi)
+    for start in range(0, rows.shape[1], _CHUNK):
+        here = slice(start, start + _CHUNK)
+        phi[here], det[here] = _add_forces(
+            coordinates, rows[:, here], select_rows(energy, here), select_rows(target, here), gradient
+        )
+    return phi, gradient, det
+
+
+# Triangles at a time: what one chunk computes stays in the cache.
+_CHUNK = 32768
+
+
+def _add_forces(
+    coordinates: Tensor, rows: Tensor, energy: Energy, target: Target, gradient: Tensor
+) -> tuple[Tensor, Tensor]:
+    """phi and det of some triangles; their forces are added to `gradient`."""
     gather = torch.index_select
     ax, ay = gather(coordinates, 0, rows[0]), gather(coordinates, 0, rows[1])
     e1x, e1y = gather(coordinates, 0, rows[2]).sub_(ax), gather(coordinates, 0, rows[3]).sub_(ay)
     e2x, e2y = gather(coordinates, 0, rows[4]).sub_(ax), gather(coordinates, 0, rows[5]).sub_(ay)
-    p1x, p1y = target.g11 * e1x, target.g11 * e1y
-    p1x += target.g12 * e2x
-    p1y += target.g12 * e2y
-    p2x, p2y = target.g22 * e2x, target.g22 * e2y
-    p2x += target.g12 * e1x
-    p2y += target.g12 * e1y
-    stretch = torch.addcmul(p1x * e1x, p1y, e1y).addcmul_(p2x, e2x).addcmul_(p2y, e2y)
-    det = torch.addcmul(e1x * e2y, e1y, e2x, value=-1).mul_(target.m)
+    # Half the derivative of the stretch by e1 and by e2.
+    s1x, s1y = _combine(target.g11, e1x, target.g12, e2x), _combine(target.g11, e1y, target.g12, e2y)
+    s2x, s2y = _combine(target.g22, e2x, target.g12, e1x), _combine(target.g22, e2y, target.g12, e1y)
+    stretch = (s1x * e1x).addcmul_(s1y, e1y).addcmul_(s2x, e2x).addcmul_(s2y, e2y)
+    det = (e1x * e2y).addcmul_(e1y, e2x, value=-1).mul_(target.m)
     phi, by_stretch, by_det = energy.value_and_slopes(stretch, det)
-    by_stretch = 2 * by_stretch
-    by_det = by_det * target.m
-    bx = (by_stretch * p1x).addcmul_(by_det, e2y)
-    by = (by_stretch * p1y).addcmul_(by_det, e2x, value=-1)
-    cx = (by_stretch * p2x).addcmul_(by_det, e1y, value=-1)
-    cy = (by_stretch * p2y).addcmul_(by_det, e1x)
-    gradient = torch.zeros_like(coordinates)
-    gradient.index_add_(0, rows[2], bx).index_add_(0, rows[3], by)
-    gradient.index_add_(0, rows[4], cx).index_add_(0, rows[5], cy)
-    gradient.index_add_(0, rows[0], bx.add_(cx), alpha=-1).index_add_(0, rows[1], by.add_(cy), alpha=-1)
-    return phi, gradient, det
+    by_stretch, by_det = 2 * by_stretch, by_det * target.m
+    s1x.mul_(by_stretch).addcmul_(by_det, e2y)
+    s1y.mul_(by_stretch).addcmul_(by_det, e2x, value=-1)
+    s2x.mul_(by_stretch).addcmul_(by_det, e1y, value=-1)
+    s2y.mul_(by_stretch).addcmul_(by_det, e1x)
+    gradient.index_add_(0, rows[2], s1x).index_add_(0, rows[3], s1y)
+    gradient.index_add_(0, rows[4], s2x).index_add_(0, rows[5], s2y)
+    gradient.index_add_(0, rows[0], s1x.add_(s2x), alpha=-1).index_add_(0, rows[1], s1y.add_(s2y), alpha=-1)
+    return phi, det
 
 
-def select_rows(record: _E, keep: Tensor) -> _E:
+def _combine(p: Tensor | float, u: Tensor, q: Tensor | float, v: Tensor) -> Tensor:
+    """p u + q v."""
+    return (p * u).add_(v, alpha=q) if isinstance(q, float) else torch.addcmul(p * u, q, v)
+
+
+def select_rows(record: _R, keep: Tensor | slice) -> _R:
     """An energy or target for some of the triangles: its (T,) parameters at `keep`, floats as they are."""
     if isinstance(record, tuple):
         return type(record)(*(v[keep] if isinstance(v, Tensor) else v for v in record))
-    changes = {
-        f.name: getattr(record, f.name)[keep]
-        for f in dataclasses.fields(record)  # type: ignore[arg-type]
-        if isinstance(getattr(record, f.name), Tensor)
-    }
+    changes = {name: value[keep] for name, value in vars(record).items() if isinstance(value, Tensor)}
     return dataclasses.replace(record, **changes) if changes else record  # type: ignore[type-var]

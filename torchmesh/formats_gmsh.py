@@ -311,7 +311,9 @@ def write(path: str, mesh: meshio.Mesh, file: MshFile) -> None:
     kept = {(s, _data_name(p)) for s, p in file.sections if s in _DATA} - {("NodeData", "fixed")}
     with open(path, "wb") as out:
         for section, payload in file.sections:
-            if section in _DATA and ((key := (section, _data_name(payload))) not in kept or key[1] not in current[section]):
+            if section in _DATA and (
+                (key := (section, _data_name(payload))) not in kept or key[1] not in current[section]
+            ):
                 continue
             out.write(b"$%b\n%b$End%b\n" % (section.encode(), renewed.get(section, payload), section.encode()))
         numbers = {"NodeData": names, "ElementData": np.concatenate([b.numbers for b in elements])}
@@ -420,7 +422,9 @@ def _write_elements_41(blocks: list[_Elements], names: np.ndarray, file: MshFile
     numbers, size = np.concatenate([b.numbers for b in blocks]), f"u{file.size}"
     out = [_pack(file.binary, ([len(blocks), len(numbers), numbers.min(), numbers.max()], size))]
     for block in blocks:
-        out.append(_pack(file.binary, ([_KINDS[block.kind][1], block.entity, block.kind], "i4"), (len(block.rows), size)))
+        out.append(
+            _pack(file.binary, ([_KINDS[block.kind][1], block.entity, block.kind], "i4"), (len(block.rows), size))
+        )
         table = np.column_stack([block.numbers, names[block.rows]])
         out.append(table.astype(size).tobytes() if file.binary else _text(table))
     return b"".join(out) + (b"\n" if file.binary else b"")

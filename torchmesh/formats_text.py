@@ -29,7 +29,7 @@ def read_su2(path: str) -> tuple[meshio.Mesh, list[str]]:
     cells: list[tuple[str, list[list[int]]]] = []
     tags: list[int] = []
     names: dict[str, int] = {}
-    tag = markers = 0
+    tag = markers = found = 0
     for line in lines:
         match = re.match(r"\s*(\w+)\s*=\s*([^%]*)", line)
         key, value = (match[1].upper(), match[2].strip()) if match else ("", "")
@@ -45,7 +45,7 @@ def read_su2(path: str) -> tuple[meshio.Mesh, list[str]]:
         elif key == "NMARK":
             markers = int(value)
         elif key == "MARKER_TAG":
-            name = value.split()[0]
+            name, found = value.split()[0], found + 1
             if name not in names:
                 number = int(name) if re.fullmatch(r"\d+", name) and int(name) > 0 else 1
                 while number in names.values():
@@ -69,10 +69,8 @@ def read_su2(path: str) -> tuple[meshio.Mesh, list[str]]:
             rest.append(line)
     if points is None or not cells:
         raise ValueError("it has no NPOIN or no NELEM section")
-    if len(names) > markers or len(names) < len(set(tags) - {0}):
-        raise ValueError(f"NMARK says {markers} markers, the file has {len(names)}")
-    if len(names) < markers:
-        raise ValueError(f"NMARK says {markers} markers, the file ends after {len(names)}")
+    if found != markers:
+        raise ValueError(f"NMARK says {markers} markers, the file has {found}")
     blocks = [(name, np.array(rows, np.int64)) for name, rows in cells]
     data = {"su2:tag": [np.full(len(rows), t) for (_, rows), t in zip(blocks, tags, strict=True)]}
     return meshio.Mesh(points, blocks, cell_data=data, field_data={n: np.array([t, 1]) for n, t in names.items()}), rest
@@ -196,6 +194,6 @@ def _renew_faces(lines: list[str], mesh: meshio.Mesh, file: ObjFile) -> None:
             if rows != row:
                 stale.append((number, row))
     for number, row in stale:
-        plain = any(len(known.get(corner, ())) != 1 for corner in row)
+        plain = any(len(known.get(c, ())) != 1 or "-" in next(iter(known[c])) for c in row)
         words = [str(corner + 1) if plain else next(iter(known[corner])) for corner in row]
         lines[number] = " ".join(["f", *words])

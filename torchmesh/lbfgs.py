@@ -24,8 +24,15 @@ BLOCK = 128
 class Objective(Protocol):
     """B problems over one vector of unknowns."""
 
-    block_offsets: Tensor  # (B+1,) the blocks of each problem
-    scale: Tensor  # (N,) the length in which each unknown is measured: the diagonal metric
+    @property
+    def block_offsets(self) -> Tensor:
+        """(B+1,) the blocks of each problem."""
+        ...
+
+    @property
+    def scale(self) -> Tensor:
+        """(N,) the length in which each unknown is measured: the diagonal metric."""
+        ...
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(N,) to energy (B,), gradient (N,), done (B,) bool: the problem needs no further step."""
@@ -98,10 +105,8 @@ def minimise(
     run = _Run(objective, start, options)
     iteration = 0
     while True:
-        run.close(iteration >= options.max_iterations)
-        finished = run.status != Status.RUNNING
-        count = int(finished.sum())
-        everyone = count == len(finished)
+        finished = run.close(iteration >= options.max_iterations)
+        everyone = bool(finished.all())
         # Finished problems leave together, when carrying them costs more than moving the rest.
         if everyone or 4 * int(run.blocks[finished].sum()) > int(run.blocks.sum()):
             leaving = rows[finished]
@@ -124,162 +129,177 @@ def minimise(
 
 
 class _Run:
-    """The state of the problems that are still in the loop; (K, BLOCK) vectors, (B,) numbers."""
+    """The state of the problems that are still in the loop: (K, BLOCK) vectors and (B,) numbers.
+
+    x, g       unknowns and scaled gradient; d, t, descent: direction, step, slope of the energy along d
+    past       (K, 2m, BLOCK) the last m steps s, then the last m gradient changes y
+    sy, yy     (B, m, m) their products S'Y and Y'Y; sg, yg (B, m) their products with g
+    valid      (B, m) the pairs that count: steps accepted, with positive curvature
+    """
 
     def __init__(self, objective: Objective, start: Tensor, options: LbfgsOptions) -> None:
         self.objective, self.options = objective, options
         m = options.history
-        self.blocks = counts_from_offsets(objective.block_offsets)
+        self._index(counts_from_offsets(objective.block_offsets))
         self.scale = objective.scale.reshape(-1, BLOCK)
         self.x = start.reshape(-1, BLOCK).clone()
         self.energy, gradient, done = objective(start)
+        finite = self.energy.isfinite()
         self.g = gradient.reshape(-1, BLOCK) * self.scale
+        self.g = torch.where(self._to_blocks(finite), self.g, 0.0)
         b, new = len(self.blocks), start.new_zeros
-        self.past = new((len(self.x), 2 * m, BLOCK))  # the steps s, then the gradient changes y
-        self.sy, self.yy = new((b, m, m)), new((b, m, m))
+        self.past = new((len(self.x), 2 * m, BLOCK))
+        self.sy, self.yy, self.sg, self.yg = new((b, m, m)), new((b, m, m)), new((b, m)), new((b, m))
         self.valid = torch.zeros((b, m), dtype=torch.bool, device=start.device)
         self.free = self._sum((self.scale > 0).to(start.dtype).sum(1)).clamp_min(1)
-        self.slope = (self._sum((self.g * self.g).sum(1)) / self.free).sqrt()
+        self.gg = self._sum((self.g * self.g).sum(1))
         self.status = torch.where(done, Status.VALID, Status.RUNNING)
-        self.status = torch.where(self.energy.isfinite(), self.status, Status.NOT_FINITE)
-        self.g = torch.where(self._to_blocks(self.energy.isfinite()), self.g, 0.0)
+        self.status = torch.where(finite, self.status, Status.NOT_FINITE)
         self.accepted = torch.zeros_like(self.status)
         self.evaluations = torch.ones_like(self.status)
         self.recent = self.energy.repeat(options.patience, 1)
-        self._steepest()
+        first = self._first_step()
+        self.d = -self._to_blocks(first) * self.g
+        self.descent = -first * self.gg
+        self.t = self._limit(torch.ones_like(self.energy))
+
+    @property
+    def slope(self) -> Tensor:
+        """(B,) root mean square of the scaled gradient."""
+        return (self.gg / self.free).sqrt()
 
     def select(self, keep: Tensor) -> None:
         """Go on with some of the problems only."""
-        of_blocks = keep.repeat_interleave(self.blocks)
+        of_blocks = self._to_blocks(keep).squeeze(1)
         self.objective = self.objective.select(keep)
         for name in ("x", "g", "d", "scale", "past"):
             setattr(self, name, getattr(self, name)[of_blocks])
-        for name in ("blocks", "energy", "sy", "yy", "valid", "free", "slope", "status", "accepted",
+        for name in ("energy", "sy", "yy", "sg", "yg", "valid", "free", "gg", "status", "accepted",
                      "evaluations", "t", "descent"):  # fmt: skip
             setattr(self, name, getattr(self, name)[keep])
         self.recent = self.recent[:, keep]
+        self._index(self.blocks[keep])
 
-    def close(self, out_of_iterations: bool) -> None:
-        """Set the status of every problem that has reached the end of its run."""
-        running = self.status == Status.RUNNING
+    def close(self, out_of_iterations: bool) -> Tensor:
+        """(B,) bool: the problems at the end of their run, whose status is set."""
         settled = (self.accepted >= self.options.patience) & (
             self.recent[0] - self.energy <= self.options.energy_tolerance * self.energy.abs()
         )
         tests = [
-            (self.slope <= self.options.gradient_tolerance, Status.CONVERGED),
-            (settled, Status.SETTLED),
             (self.t < 1e-12, Status.STALLED),
+            (settled, Status.SETTLED),
+            (self.gg <= self.options.gradient_tolerance**2 * self.free, Status.CONVERGED),
         ]
-        for hit, status in tests:
-            self.status = torch.where(running & hit, status, self.status)
-            running = running & ~hit
-        if out_of_iterations:
-            self.status = torch.where(running, Status.ITERATION_LIMIT, self.status)
+        status = torch.full_like(self.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
+        for hit, ending in tests:
+            status = torch.where(hit, ending, status)
+        self.status = torch.where(self.status == Status.RUNNING, status, self.status)
+        return self.status != Status.RUNNING
 
     def step(self, iteration: int) -> None:
         """Try one step of every problem; accept it or shorten it."""
         running = self.status == Status.RUNNING
-        move = self._to_blocks(self.t) * self.d
+        m, slot = self.options.history, iteration % self.options.history
+        move = self.d * self._to_blocks(self.t)
         x = torch.addcmul(self.x, move, self.scale)
         energy, gradient, done = self.objective(x.reshape(-1))
         gradient = gradient.reshape(-1, BLOCK) * self.scale
         change = energy - self.energy
-        good = running & energy.isfinite() & (change <= _SUFFICIENT_DECREASE * self.t * self.descent)
-        self.evaluations += running
-        slot = iteration % self.options.history
-        m = self.options.history
-        all_good = bool(good.all())
-        if not all_good:
+        good = running & (change <= _SUFFICIENT_DECREASE * self.t * self.descent) & energy.isfinite()
+        if bool(good.all()):
+            self._advance(slot, x, move, gradient, good)
+            self.t = self._limit(torch.ones_like(self.t))
+        else:
+            # A problem whose step was refused stays where it is; its pair of this slot is void.
             of_blocks = self._to_blocks(good)
+            old = self.d, self.descent, self.sg, self.yg
             move = torch.where(of_blocks, move, 0.0)
             gradient = torch.where(of_blocks, gradient, self.g)
-            x = torch.where(of_blocks, x, self.x)
+            self._advance(slot, torch.where(of_blocks, x, self.x), move, gradient, good)
+            self.d = torch.where(of_blocks, self.d, old[0])
+            self.descent = torch.where(good, self.descent, old[1])
+            # The minimum of the parabola through the refused step, within bounds.
+            fit = -0.5 * self.descent * self.t / (change / self.t - self.descent)
+            shorter = torch.where(change.isfinite(), fit.clamp(0.1 * self.t, 0.5 * self.t), 0.3 * self.t)
+            self.t = torch.where(good, self._limit(torch.ones_like(self.t)), torch.where(running, shorter, self.t))
+        self.recent = torch.where(good, torch.cat([self.recent[1:], self.energy[None]]), self.recent)
+        self.energy = torch.where(good, energy, self.energy)
+        self.accepted += good
+        self.evaluations += running
+        self.status = torch.where(good & done, Status.VALID, self.status)
+
+    def _advance(self, slot: int, x: Tensor, move: Tensor, gradient: Tensor, good: Tensor) -> None:
+        """Take the new point, with its pair in `slot`, and find the direction from there.
+
+        S'g and Y'g are read off the history once; the products with the new pair follow from
+        them and from those at the old point, since y = g_new - g_old.
+        """
+        m = self.options.history
         self.past[:, slot] = move
         torch.sub(gradient, self.g, out=self.past[:, m + slot])
         self.x, self.g = x, gradient
-        along = self._direction(slot, good)
-        energy = torch.where(good, energy, self.energy)
-        self.recent = torch.where(good, torch.cat([self.recent[1:], self.energy[None]]), self.recent)
-        self.accepted += good
-        self.status = torch.where(good & done, Status.VALID, self.status)
-        # Quadratic interpolation of the shortened step, where the trial had a value.
-        fit = -0.5 * self.descent * self.t / (change / self.t - self.descent)
-        shorter = torch.where(change.isfinite(), fit.clamp(0.1 * self.t, 0.5 * self.t), 0.3 * self.t)
-        self.energy = energy
-        self.t = torch.where(good, 1.0, torch.where(running, shorter, self.t))
-        if along is not None:
-            self._limit(good)
+        gg = self._sum((gradient * gradient).sum(1))
+        products = self._sum(torch.bmm(self.past, gradient[:, :, None]).squeeze(2))
+        sg, yg = products[:, :m], products[:, m:]
+        along = self.t * self.descent
+        self.sy[:, :, slot] = sg - self.sg
+        self.sy[:, slot, slot] = sg[:, slot] - along
+        self.yy[:, :, slot] = self.yy[:, slot, :] = yg - self.yg
+        self.yy[:, slot, slot] = 2 * yg[:, slot] - gg + self.gg
+        self.valid[:, slot] = good & (self.sy[:, slot, slot] > _CURVATURE * self.yy[:, slot, slot])
+        self.valid[:, slot] &= self.yy[:, slot, slot] > 0
+        self.sg, self.yg, self.gg = sg, yg, gg
+        gamma, a, b = self._recursion([(slot + 1 + i) % m for i in range(m)])
+        self.descent = -(gamma * gg + (a * sg).sum(1) + (b * yg).sum(1))
+        lost = good & ~(self.descent < 0)
+        if bool(lost.any()):
+            gamma = torch.where(lost, self._first_step(), gamma)
+            a, b = torch.where(lost[:, None], 0.0, a), torch.where(lost[:, None], 0.0, b)
+            self.valid &= ~lost[:, None]
+            self.descent = torch.where(lost, -gamma * gg, self.descent)
+        weights = torch.cat([a, b], 1).index_select(0, self.owner)
+        self.d = torch.bmm(weights[:, None], self.past).squeeze(1)
+        self.d.addcmul_(self._to_blocks(gamma), gradient).neg_()
 
-    def _direction(self, slot: int, good: Tensor) -> bool:
-        """The new direction d of the problems that moved; the others keep theirs."""
-        m = self.options.history
-        new = torch.stack([self.past[:, slot], self.past[:, m + slot], self.g], 2)
-        dots = self._sum_rows(torch.bmm(self.past, new).reshape(len(self.past), -1)).reshape(-1, 2 * m, 3)
-        square = self._sum((self.g * self.g).sum(1))
-        self.sy[:, :, slot], self.sy[:, slot, :] = dots[:, :m, 1], dots[:, m:, 0]
-        self.yy[:, :, slot] = self.yy[:, slot, :] = dots[:, m:, 1]
-        curvature, length = self.sy[:, slot, slot], self.yy[:, slot, slot]
-        ok = good & (curvature > _CURVATURE * length) & (length > 0)
-        self.valid[:, slot] = ok
-        self.slope = torch.where(good, (square / self.free).sqrt(), self.slope)
-        order = [(slot + 1 + i) % m for i in range(m)]
+    def _recursion(self, order: list[int]) -> tuple[Tensor, Tensor, Tensor]:
+        """The weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1.
+
+        order  the slots from the oldest pair to the newest
+        """
         valid = self.valid[:, order]
-        mask = (valid[:, :, None] & valid[:, None, :]).to(dots.dtype)
-        sy = self.sy[:, order][:, :, order] * mask
-        yy = self.yy[:, order][:, :, order] * mask
-        # The scale of the newest pair that counts.
-        newest = torch.where(valid, torch.arange(m, device=valid.device), -1).amax(1).clamp_min(0)
-        pick = newest[:, None]
-        y2 = yy.diagonal(dim1=1, dim2=2).gather(1, pick).squeeze(1)
-        s_y = sy.diagonal(dim1=1, dim2=2).gather(1, pick).squeeze(1)
-        gamma = torch.where(y2 > 0, s_y / torch.where(y2 > 0, y2, 1.0), 1.0)[:, None]
+        count = valid.to(self.gg.dtype)
+        both = count[:, :, None] * count[:, None, :]
+        sy, yy = self.sy[:, order][:, :, order] * both, self.yy[:, order][:, :, order] * both
+        sg, yg = self.sg[:, order] * count, self.yg[:, order] * count
         diagonal = sy.diagonal(dim1=1, dim2=2)
-        upper = sy.triu() + torch.diag_embed((~valid).to(sy.dtype))
-        weight = valid.to(dots.dtype)
-        sg, yg = dots[:, :m, 2][:, order] * weight, dots[:, m:, 2][:, order] * weight
+        newest = torch.where(valid, self._ages, -1).argmax(1, keepdim=True)
+        top, bottom = diagonal.gather(1, newest), yy.diagonal(dim1=1, dim2=2).gather(1, newest)
+        gamma = torch.where(bottom > 0, top / torch.where(bottom > 0, bottom, 1.0), self._first_step()[:, None])
+        upper = sy.triu() + torch.diag_embed(1 - count)
         w = torch.linalg.solve_triangular(upper, sg[:, :, None], upper=True)
-        middle = diagonal[:, :, None] * w + gamma[:, :, None] * ((yy @ w) - yg[:, :, None])
-        a = torch.linalg.solve_triangular(upper.mT, middle, upper=False).squeeze(2) * weight
-        b = -gamma * w.squeeze(2) * weight
-        back = [order.index(i) for i in range(m)]
-        coefficients = torch.cat([a[:, back], b[:, back]], 1)
-        descent = -(gamma[:, 0] * square + (a * sg).sum(1) + (b * yg).sum(1))
-        steepest = ~valid.any(1) | ~(descent < 0)
-        coefficients = torch.where(steepest[:, None], 0.0, coefficients)
-        first = self.options.first_step / self.slope.clamp_min(1e-300)
-        gamma = torch.where(steepest, first, gamma[:, 0])
-        self.valid &= ~(steepest & good)[:, None]
-        descent = torch.where(steepest, -first * square, descent)
-        spread = coefficients.repeat_interleave(self.blocks, 0)
-        d = torch.bmm(spread[:, None], self.past).squeeze(1)
-        d = d.addcmul_(self._to_blocks(gamma), self.g).neg_()
-        if bool(good.all()):
-            self.d, self.descent = d, descent
-        else:
-            self.d = torch.where(self._to_blocks(good), d, self.d)
-            self.descent = torch.where(good, descent, self.descent)
-        return True
+        middle = diagonal[:, :, None] * w + gamma[:, :, None] * (yy @ w - yg[:, :, None])
+        a = torch.linalg.solve_triangular(upper.mT, middle, upper=False).squeeze(2) * count
+        b = -gamma * w.squeeze(2) * count
+        back = [order.index(i) for i in range(len(order))]
+        return gamma.squeeze(1), a[:, back], b[:, back]
 
-    def _steepest(self) -> None:
-        gamma = self.options.first_step / self.slope.clamp_min(1e-300)
-        self.d = -self._to_blocks(gamma) * self.g
-        self.descent = -gamma * self.slope * self.slope * self.free
-        self.t = torch.ones_like(self.energy)
-        self._limit(torch.ones_like(self.status, dtype=torch.bool))
+    def _first_step(self) -> Tensor:
+        """(B,) factor of the gradient for a step without history."""
+        return self.options.first_step / self.slope.clamp_min(1e-300)
 
-    def _limit(self, fresh: Tensor) -> None:
-        """Shorten the first trial along a fresh direction to the largest step allowed."""
-        longest = self.d.abs().amax(1)
-        offsets = offsets_from_counts(self.blocks)
-        longest = torch.segment_reduce(longest, "max", offsets=offsets, initial=0.0)
-        limit = self.options.largest_step / longest.clamp_min(1e-300)
-        self.t = torch.where(fresh, torch.minimum(self.t, limit), self.t)
+    def _limit(self, t: Tensor) -> Tensor:
+        """Steps (B,), shortened so that no unknown moves further along d than allowed."""
+        longest = torch.segment_reduce(self.d.abs().amax(1), "max", offsets=self.offsets, initial=0.0)
+        return torch.minimum(t, self.options.largest_step / longest.clamp_min(1e-300))
+
+    def _index(self, blocks: Tensor) -> None:
+        self.blocks = blocks
+        self.offsets = offsets_from_counts(blocks)
+        self.owner = torch.arange(len(blocks), device=blocks.device).repeat_interleave(blocks)
+        self._ages = torch.arange(self.options.history, device=blocks.device)
 
     def _to_blocks(self, per_problem: Tensor) -> Tensor:
-        return per_problem.repeat_interleave(self.blocks)[:, None]
+        return per_problem.index_select(0, self.owner)[:, None]
 
     def _sum(self, per_block: Tensor) -> Tensor:
-        return torch.segment_reduce(per_block, "sum", offsets=offsets_from_counts(self.blocks), initial=0.0)
-
-    def _sum_rows(self, per_block: Tensor) -> Tensor:
-        return torch.segment_reduce(per_block, "sum", offsets=offsets_from_counts(self.blocks), axis=0, initial=0.0)
+        return torch.segment_reduce(per_block, "sum", offsets=self.offsets, axis=0, initial=0.0)
