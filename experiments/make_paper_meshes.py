@@ -1,12 +1,12 @@
 """Make our versions of the three domains of Kim 2017: moving circle, moving bar, moving gate.
 
 The paper shows its domains as pictures only, so the dimensions are ours.  They were chosen by
-scanning dimensions and mesh sizes (some thousand combinations) for those whose undeformed quality
-and number of triangles inverted by FEMWARP come close to the paper's tables: that our numbers
-resemble the paper's is a choice, not a finding.  Meshes come from gmsh's "packing of
-parallelograms" algorithm, the one whose qualities (average 1.06, maximum 1.6 - 2) resemble the
-paper's; then one weighted Laplace step (`Domain.relaxation`).  No vertex is moved otherwise, and
-nothing is random.
+scanning dimensions and mesh sizes (between four and five thousand meshes, most for the circle)
+for those whose undeformed quality and number of triangles inverted by FEMWARP come close to the
+paper's tables: that our numbers resemble the paper's is a choice, not a finding.  Meshes come
+from gmsh's "packing of parallelograms" algorithm, the one whose qualities (average 1.06, maximum
+1.6 - 2) resemble the paper's; then one weighted Laplace step (`Domain.relaxation`).  No vertex is
+moved otherwise, and nothing is random.
 
      ________________________     ____________________     ____________________
     |                        |   |      _             |   |                    |
@@ -63,9 +63,7 @@ class Domain:
     outer: tuple[Corner, ...]  # counter-clockwise
     hole: tuple[Corner, ...]  # empty: no hole
     displacement: Callable[[Array], Array]  # (N, 2) boundary points -> (N, 2)
-    relaxation: (
-        float  # weight of the one Laplace step; 0: leave gmsh's vertices, 1: neighbours' mean
-    )
+    relaxation: float  # weight of the one Laplace step; 0: none, 1: to the neighbours' mean
     paper: Row
     whole_hole_sides: bool = False  # True: gmsh may not split the hole's sides
 
@@ -217,18 +215,19 @@ def _gmsh_triangles(domain: Domain) -> tuple[Array, Array]:
 
 def _laplace_step(points: Array, triangles: Array, weight: float) -> Array:
     """Move interior vertices the fraction `weight` of the way to their neighbours' mean."""
+    # every edge of an interior vertex runs once in each direction, so no row counts one twice
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     count = len(points)
     neighbours = scipy.sparse.coo_matrix(
         (np.ones(len(start)), (start, end)), (count, count)
     ).tocsr()
-    neighbours = ((neighbours + neighbours.T) > 0).astype(float)
     mean = neighbours @ points / neighbours.sum(axis=1)
     interior = ~_boundary(triangles, count)[:, None]
     return np.where(interior, (1 - weight) * points + weight * mean, points)
 
 
 def write(path: Path, domain: Domain, points: Array, triangles: Array) -> None:
+    """Write the undeformed mesh and, as point data, where its boundary goes."""
     boundary = _boundary(triangles, len(points))
     displacement = np.zeros((len(points), 3))
     displacement[boundary, :2] = domain.displacement(points[boundary])

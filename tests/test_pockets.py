@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -182,7 +184,7 @@ def test_l_shape_of_many_collinear_boundary_vertices(how):
 
 
 @pytest.mark.parametrize(
-    "scale,offset",
+    ("scale", "offset"),
     [(1.0, 1e8), (1e-3, 1e8), (1e-100, 0.0), (1e100, 0.0), (1e-150, 0.0), (1e149, 0.0), (1e100, 1e103)],
 )
 @pytest.mark.parametrize("how", ["shuffled", "one point"])
@@ -379,6 +381,24 @@ def test_certificate_notices_every_kind_of_damage():
     flipped = retriangulate(other, everything, keep=torch.zeros(len(points), dtype=torch.bool)).mesh
     flipped = mesh.with_points(flipped.points).with_triangles(flipped.triangles)
     assert "constrained edge" in why_not_certified(mesh, flipped, everything)
+    five = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0.5]])
+    before = make(five, [[0, 1, 2], [0, 2, 3], [1, 4, 2]])
+    after = before.with_triangles(torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 3]]))
+    assert "boundary" in why_not_certified(before, after, whole(after))
+    two_inside = np.array([[0, 0], [4, 0], [0, 4], [1, 1], [2, 1]], float)
+    before = make(two_inside, [[0, 1, 3], [1, 2, 4], [2, 0, 3], [3, 1, 4], [3, 4, 2]])
+    after = dataclasses.replace(before, triangles=torch.tensor([[0, 1, 3], [1, 2, 3], [2, 0, 3]]))
+    assert "4 vertices are in 3 triangles" in why_not_certified(before, after, whole(after))
+
+
+def test_edges_that_exist_outside_the_pocket_are_not_made_twice():
+    """A vertex of three triangles lies outside the triangle around it, whose edge [0, 2] the pocket would choose."""
+    points = np.array([[0.0, -0.3], [2.0, 0.0], [0.0, 0.3], [-1.0, 0.0]])
+    mesh = make(points, np.array([[3, 0, 1], [3, 1, 2], [3, 2, 0]]))
+    result = retriangulate(mesh, torch.tensor([True, True, False]))
+    assert not result.ok
+    assert "exists outside" in result.reason
+    assert_repaired(mesh, untangle_by_pockets(mesh))
 
 
 def test_one_mesh_and_masks_of_its_size_are_asked_for():

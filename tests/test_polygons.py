@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 import shapely
@@ -28,7 +30,7 @@ def star_with_holes(rng):
     parts = [star(int(rng.integers(8, 60)), rng)]
     parts += [0.15 * star(int(rng.integers(3, 20)), rng) + centre for centre in ([-0.22, 0.0], [0.22, 0.0])]
     starts = np.cumsum([0, *map(len, parts)])
-    loops = [np.arange(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    loops = [np.arange(a, b) for a, b in itertools.pairwise(starts)]
     return np.concatenate(parts), [loops[0], loops[1][::-1].copy(), loops[2][::-1].copy()]
 
 
@@ -45,7 +47,9 @@ def test_proposal_and_exact_construction_triangulate_polygons_with_holes(seed):
         assert len(corners) == len(points) - 2 + 2 * (len(loops) - 1)
 
 
-@pytest.mark.parametrize("scale,offset", [(1.0, 0.0), (1.0, 1e8), (2.0**-20, 1e8), (2.0**-300, 0.0), (2.0**300, 0.0)])
+@pytest.mark.parametrize(
+    ("scale", "offset"), [(1.0, 0.0), (1.0, 1e8), (2.0**-20, 1e8), (2.0**-300, 0.0), (2.0**300, 0.0)]
+)
 @pytest.mark.parametrize("seed", range(3))
 def test_exact_construction_at_any_scale(seed, scale, offset):
     points, loops = star_with_holes(np.random.default_rng(seed))
@@ -57,7 +61,7 @@ def test_exact_construction_at_any_scale(seed, scale, offset):
 def test_collinear_vertices_are_all_used():
     side = np.linspace(0, 1, 11)[:-1]
     corners = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2], [0, 0]], float)
-    points = np.concatenate([a + side[:, None] * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+    points = np.concatenate([a + side[:, None] * (b - a) for a, b in itertools.pairwise(corners)])
     loops = [np.arange(len(points))]
     for made in (_proposed(points, loops), _cut_out(points, loops, np.ones(len(points)))):
         assert is_triangulation_of(points, made, rim_of(loops))
@@ -96,7 +100,7 @@ SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
 
 
 @pytest.mark.parametrize(
-    "points,loops,text",
+    ("points", "loops", "text"),
     [
         (SQUARE[[0, 2, 1, 3]], [[0, 1, 2, 3]], "meet"),
         (SQUARE, [[3, 2, 1, 0]], "0 outer loops"),
@@ -175,6 +179,32 @@ def test_recover_ends_across_a_long_strip_of_collinear_vertices():
     assert work.recover(np.array([[4, 5]])) is None
     assert is_triangulation_of(points, work.corners, loop_edges(np.arange(4)))
     assert "passes through vertex" in str(work.recover(np.array([[6, 17]])))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_recover_on_a_lattice(seed):
+    """Many vertices are equally far from the line: strict convexity hangs on how ties are broken."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
+    points = np.concatenate([20 * SQUARE - 6, np.stack([x.ravel(), y.ravel()], 1)])
+    for _ in range(20):
+        work = triangulate_polygon(points, [np.arange(4)], np.ones(len(points)))
+        vertices = rng.permutation(np.arange(4, len(points)))
+        assert len(work.insert(vertices, locate(points, vertices, work.corners), seed)) == 0
+        u, v = rng.permutation(vertices)[:2]
+        primitive = np.gcd(*np.abs(points[u] - points[v]).astype(int)) == 1
+        obstacle = work.recover(np.array([[u, v]]))
+        assert (obstacle is None) == primitive
+        assert primitive or "passes through vertex" in str(obstacle)
+        assert is_triangulation_of(points, work.corners, loop_edges(np.arange(4)))
+
+
+def test_two_angles_of_almost_pi_are_flipped_away():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 1e-14], [0.5, -1e-14]])
+    work = Triangulation(points, np.array([[0, 1, 2], [1, 0, 3]]), np.ones(4))
+    work.flip_to_delaunay(np.arange(2))
+    assert all({2, 3} <= set(t) for t in work.corners.tolist())
+    assert (signs(points, *work.corners.T) > 0).all()
 
 
 def locked_edges(work):

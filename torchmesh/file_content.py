@@ -94,7 +94,7 @@ def _check_cells(mesh: meshio.Mesh, path: Path) -> None:
     for kind in sorted(kinds):
         if kind.startswith("triangle") and kind != "triangle":
             raise InvalidMeshError(f"{path}: it has second-order triangles ({kind}); convert it to linear ones first")
-        if kind not in _LINEAR and not kind.rstrip("0123456789") in _FLAT_HIGHER:
+        if kind not in _LINEAR and kind.rstrip("0123456789") not in _FLAT_HIGHER:
             raise InvalidMeshError(
                 f"{path}: it has {kind} cells; only planar meshes of linear triangles can be improved"
             )

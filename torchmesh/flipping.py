@@ -102,8 +102,8 @@ def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
     before.append(_double_area(few.wx, few.wy, few.ux, few.uy, few.rx, few.ry))
     after = [_double_area(few.ux, few.uy, few.rx, few.ry, few.sx, few.sy)]
     after.append(_double_area(few.rx, few.ry, few.wx, few.wy, few.sx, few.sy))
-    gain = sum((-a).clamp_min(0) for a in before) - sum((-a).clamp_min(0) for a in after)
-    rounding = 1e-14 * sum(a.abs() for a in before + after)
+    gain = _inverted_area(before) - _inverted_area(after)
+    rounding = 1e-14 * torch.stack(before + after).abs().sum(0)
     old_left, old_right = left[rows], right[rows]
     count_before = (old_left < 0).to(torch.int8) + (old_right < 0)
     count_after = (first < 0).to(torch.int8) + (second < 0)
@@ -129,12 +129,12 @@ def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
 
 
 def _pair_energy(q: Quads, flipped: bool) -> Tensor:
-    pair = (
-        [Corners(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy), Corners(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy)]
-        if flipped
-        else [Corners(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy), Corners(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry)]
-    )
-    return sum(inverse_mean_ratio(t).clamp_max(1e30).square() for t in pair)
+    if flipped:
+        first, second = Corners(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy), Corners(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy)
+    else:
+        first, second = Corners(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy), Corners(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry)
+    # A flat triangle's infinity must not meet another in a difference.
+    return inverse_mean_ratio(first).clamp_max(1e30).square() + inverse_mean_ratio(second).clamp_max(1e30).square()
 
 
 def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> Tensor:
@@ -220,6 +220,10 @@ def flip_rounds(
 
 def _double_area(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor) -> Tensor:
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+def _inverted_area(double_areas: list[Tensor]) -> Tensor:
+    return torch.stack(double_areas).clamp_max(0).sum(0).neg()
 
 
 def _cotangent_deficit(q: Quads) -> Tensor:

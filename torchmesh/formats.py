@@ -113,13 +113,14 @@ def load(path: Path) -> Document:
 def _load(path: Path, form: str) -> Document:
     head = _bytes(path, 4096)
     name = str(path)
+    rest: Any = None
     if form == "gmsh":
         mesh, rest = formats_gmsh.read(name)
         return Document(mesh, form, rest.binary if rest else None, rest)
     if form in ("su2", "obj"):
         mesh, rest = (formats_text.read_su2 if form == "su2" else formats_text.read_obj)(name)
         return Document(mesh, form, None, rest)
-    binary, rest = None, None
+    binary = None
     if form == "vtu":
         binary = b'format="ascii"' not in head
     elif form == "ply":
@@ -144,8 +145,8 @@ def _load(path: Path, form: str) -> Document:
     else:
         mesh = reader.read(name)
     _check_counts(path, form, mesh)
-    if form == "stl":
-        mesh.cell_data.pop("facet_normals", None)
+    mesh.cell_data.pop("facet_normals", None)  # of stl, and GLOBAL_ID of h5m: meshio makes them anew
+    mesh.point_data.pop("GLOBAL_ID", None)
     return Document(mesh, form, binary, rest)
 
 
@@ -167,11 +168,11 @@ class _Guard:
         return line
 
 
-class _GuardedBytes(_Guard, io.BufferedReader):
+class _GuardedBytes(_Guard, io.BufferedReader):  # type: ignore[misc]
     pass
 
 
-class _GuardedText(_Guard, io.TextIOWrapper):
+class _GuardedText(_Guard, io.TextIOWrapper):  # type: ignore[misc]
     pass
 
 
@@ -266,9 +267,8 @@ def _save(name: str, form: str, mesh: meshio.Mesh, like: Document | None, same_r
     rest = None if like is None else like.rest
     if form == "gmsh":
         if rest is None or not same_rows:
-            version, size = (rest.version, rest.size) if rest else ("4.1", 8)
-            assert size in (4, 8)
-            mesh, rest = formats_gmsh.fresh(mesh, version, binary is None or binary)
+            version = rest.version if rest else "4.1"
+            mesh, rest = formats_gmsh.fresh(mesh, version, binary is None or binary, rest)
         formats_gmsh.write(name, mesh, rest)
     elif form == "su2":
         formats_text.write_su2(name, mesh, rest or [])
@@ -285,6 +285,11 @@ def _save(name: str, form: str, mesh: meshio.Mesh, like: Document | None, same_r
             rest.put_into(name)
     elif form == "xdmf":
         meshio.xdmf.write(name, mesh, data_format="XML")
+    elif form in ("med", "h5m", "hmf"):
+        # HDF5 crashes the process when a disk is full: it writes to memory.
+        memory = io.BytesIO()
+        meshio.write(memory, mesh, file_format=form)
+        Path(name).write_bytes(memory.getvalue())
     elif form in ("stl", "ply") and binary is not None:
         meshio.write(name, mesh, file_format=form, binary=binary)
     else:
@@ -300,7 +305,7 @@ def _fitted(path: Path, mesh: meshio.Mesh, form: str) -> meshio.Mesh:
     cell_data = {name: [values[i] for i in kept] for name, values in mesh.cell_data.items()}
     if able.cell_data != "all":
         tag = region_tag(mesh) if able.cell_data == "one" else None
-        lost |= {f"cell data {name!r}" for name in cell_data if name != tag}
+        lost |= {f"cell data {name!r}" for name in cell_data if name not in (tag, "gmsh:geometrical")}
         cell_data = {_CANONICAL[form]: [v.astype(np.int64) for v in cell_data[tag]]} if tag else {}
     tag = region_tag(mesh)
     if form == "gmsh" and "gmsh:physical" not in cell_data and tag not in (None, "gmsh:geometrical"):
@@ -309,8 +314,9 @@ def _fitted(path: Path, mesh: meshio.Mesh, form: str) -> meshio.Mesh:
             del cell_data[tag]
     point_data = dict(mesh.point_data)
     if not able.point_data:
-        lost |= {f"point data {name!r}" for name in point_data}
-        point_data = {}
+        own = _CANONICAL.get(form)
+        lost |= {f"point data {name!r}" for name in point_data if name != own}
+        point_data = {name: v for name, v in point_data.items() if name == own}
     if form == "ply":
         lost |= {f"point data {name!r}" for name, v in point_data.items() if np.ndim(v) > 1}
         point_data = {name: v for name, v in point_data.items() if np.ndim(v) == 1}

@@ -8,6 +8,7 @@ the bytes they are and written back.
     $MeshFormat ... $PhysicalNames ... $Entities ... $Nodes ... $Elements ... $NodeData ...
 """
 
+import itertools
 import re
 import warnings
 from dataclasses import dataclass, field, replace
@@ -326,12 +327,15 @@ def write(path: str, mesh: meshio.Mesh, file: MshFile) -> None:
                 out.write(b"$%b\n%b$End%b\n" % (section.encode(), body, section.encode()))
 
 
-def fresh(mesh: meshio.Mesh, version: str, binary: bool) -> tuple[meshio.Mesh, MshFile]:
+def fresh(mesh: meshio.Mesh, version: str, binary: bool, like: MshFile | None) -> tuple[meshio.Mesh, MshFile]:
     """A new file for any mesh, and the mesh with one cell block per entity, in the order it was.
 
-    Elements of one (dimension, elementary tag, physical tag) make an entity.
+    Elements of one (dimension, elementary tag, physical tag) make an entity.  In further physical
+    groups it is if it was so in `like`.
     """
-    blocks, entities = [], {}
+    blocks: list[_Elements] = []
+    entities: dict[tuple[int, int, int], int] = {}
+    known = _entity_groups(like) if like is not None and like.version == "4.1" else {}
     names = {n: v for n, v in mesh.field_data.items() if np.shape(v) == (2,) and np.asarray(v).dtype.kind in "iu"}
     split: dict[str, list[np.ndarray]] = {name: [] for name in mesh.cell_data}
     first = 1
@@ -342,7 +346,7 @@ def fresh(mesh: meshio.Mesh, version: str, binary: bool) -> tuple[meshio.Mesh, M
         physical, elementary = (mesh.cell_data.get(name, zero)[i].astype(np.int64) for name in _TAGS)
         runs = [0, *(1 + np.flatnonzero((np.diff(physical) != 0) | (np.diff(elementary) != 0))), n]
         runs = [0, n] if version == "2.2" else runs
-        for start, end in zip(runs[:-1], runs[1:], strict=True):
+        for start, end in itertools.pairwise(runs):
             if start == end:
                 continue
             key = (dim, int(elementary[start]), int(physical[start]))
@@ -365,7 +369,7 @@ def fresh(mesh: meshio.Mesh, version: str, binary: bool) -> tuple[meshio.Mesh, M
         sections.append(("PhysicalNames", f"{len(lines)}\n{text}".encode()))
     if version == "4.1":
         box = mesh.points.min(0).tolist(), mesh.points.max(0).tolist()
-        sections.append(("Entities", _write_entities(entities, box, binary)))
+        sections.append(("Entities", _write_entities(entities, known, box, binary)))
     sections += [("Nodes", b""), ("Elements", b"")]
     cells = [(_KINDS[b.kind][0], b.rows) for b in blocks]
     whole = meshio.Mesh(mesh.points, cells, point_data=mesh.point_data, cell_data=split)
@@ -385,11 +389,15 @@ def _pack(binary: bool, *parts: tuple[Any, Any]) -> bytes:
     return " ".join(repr(x) for a in arrays for x in a.tolist()).encode() + b"\n"
 
 
-def _write_entities(entities: dict[tuple[int, int, int], int], box: Any, binary: bool) -> bytes:
+def _write_entities(
+    entities: dict[tuple[int, int, int], int], known: dict[tuple[int, int], list[int]], box: Any, binary: bool
+) -> bytes:
     out = [_pack(binary, ([sum(d == dim for d, _, _ in entities) for dim in range(4)], "u8"))]
-    for (dim, _elementary, physical), entity in sorted(entities.items(), key=lambda item: (item[0][0], item[1])):
+    for (dim, elementary, physical), entity in sorted(entities.items(), key=lambda item: (item[0][0], item[1])):
         corners = box[0] if dim == 0 else [*box[0], *box[1]]
         groups = [physical] if physical else []
+        before = known.get((dim, elementary), [])
+        groups = before if before and abs(before[0]) == physical else groups
         parts = [(entity, "i4"), (corners, "f8"), (len(groups), "u8"), (groups, "i4")]
         out.append(_pack(binary, *parts, *([] if dim == 0 else [(0, "u8")])))
     return b"".join(out) + (b"\n" if binary else b"")

@@ -27,6 +27,9 @@ _CLEAR = 1e-15
 _NO_UNDERFLOW = 1e-270
 # Flip rounds after a round of insertion: enough to keep vertex degrees small.
 _ROUNDS_PER_INSERTION = 2
+# Where to try to put a vertex into a triangle, as weights of its corners: the centroid, and where a
+# triangle a few floating-point numbers wide may still have one inside.
+_PLACES = [(1, 1, 1), (2, 1, 1), (1, 2, 1), (1, 1, 2), (1, 2, 2), (2, 1, 2), (2, 2, 1), (6, 1, 1), (1, 6, 1), (1, 1, 6)]
 _NONE = np.zeros(0, np.int64)
 
 
@@ -151,10 +154,16 @@ class Triangulation:
             t = np.flatnonzero(excess > most / 3)
             if len(t) > len(vertices):
                 t = t[np.argsort(-excess[t], kind="stable")[: len(vertices)]]
-            places = a[t] + ((b[t] - a[t]) + (c[t] - a[t])) / 3
             used = vertices[: len(t)]
-            self.points[used] = places.astype(dtype)
-            inside = (self.sides(t, used) > 0).all(1)
+            inside = np.zeros(len(t), bool)
+            for one, two, three in _PLACES:
+                out = np.flatnonzero(~inside)
+                if not len(out):
+                    break
+                s, total = t[out], one + two + three
+                places = a[s] + (two * (b[s] - a[s]) + three * (c[s] - a[s])) / total
+                self.points[used[out]] = places.astype(dtype)
+                inside[out] = (self.sides(s, used[out]) > 0).all(1)
             full[t[~inside]] = True
             if not inside.any():
                 continue

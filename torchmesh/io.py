@@ -149,7 +149,7 @@ class _Carry:
     changed      are there other triangles than before
     same_rows    has every triangle the row, and the region, it had
     faces        (T, 3) the triangles to write, wound as in the file
-    source       (T,) the file row whose region tags each triangle takes; None: not to be told
+    source       (T,) the old triangle whose region tags each one takes; None: not to be told
     """
 
     content: Content
@@ -177,8 +177,8 @@ class _Carry:
             untouched = (np.sort(raw, 1) == np.sort(after, 1)).all(1) & (turned | (raw == before).all(1))
             faces = np.where(untouched[:, None], raw, faces)
         example = np.zeros(int(content.region.max()) + 1, np.int64)
-        example[content.region] = content.first
-        source = None if bool((region < 0).any()) else example[region] if changed else content.first
+        example[content.region] = np.arange(len(before))
+        source = None if bool((region < 0).any()) else example[region]
         return cls(content, old, new_vertex, changed, same_rows, faces, source)
 
 
@@ -241,7 +241,7 @@ def _carried(mesh: MeshBatch, carry: _Carry) -> tuple[meshio.Mesh, list[str], bo
     """The file's mesh with new triangles; what was dropped; are all rows where they were."""
     file, dropped = carry.content.mesh, []
     names = [name for name in file.cell_data if not carry.changed or _survives(carry, name)]
-    dropped += [f"cell data {name!r} (the triangles changed)" for name in file.cell_data if name not in names]
+    dropped += [f"cell data {name!r}" for name in file.cell_data if name not in names]
     sets = list(file.cell_sets) if carry.source is not None else []
     dropped += [f"cell set {name!r}" for name in file.cell_sets if name not in sets]
     pieces = _cell_pieces(carry)
@@ -295,7 +295,11 @@ def _cell_pieces(carry: _Carry) -> list[tuple[str, np.ndarray, np.ndarray]]:
         elif not placed:
             placed = True
             source = np.zeros(len(carry.faces), np.int64) if carry.source is None else carry.source
-            pieces.append(("triangle", carry.faces, cell_of_row[source]))
+            order, copies = content.triangle.argsort(kind="stable"), np.bincount(content.triangle)
+            rows = np.cumsum(copies) - copies
+            for copy in range(int(copies.max())):  # Gmsh lists a triangle once for each of its groups
+                some = copies[source] > copy
+                pieces.append(("triangle", carry.faces[some], cell_of_row[order[rows[source[some]] + copy]]))
     return [piece for piece in pieces if carry.same_rows or len(piece[1])]
 
 
@@ -323,7 +327,7 @@ def _carry_point_data(mesh: MeshBatch, carry: _Carry, result: meshio.Mesh, dropp
         if (before >= 0).all():
             result.point_data[name] = values[before]
         else:
-            dropped.append(f"point data {name!r} (there are new vertices)")
+            dropped.append(f"point data {name!r}")
     for name, members in file.point_sets.items():
         at = carry.new_vertex[np.asarray(members, np.int64).reshape(-1)]
         result.point_sets[name] = at[at >= 0]

@@ -19,9 +19,12 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from . import connectivity
 from .delaunay import FlipOptions, flip_to_delaunay
+from .diagnosis import diagnose
 from .errors import ConvergenceError
-from .mesh import MeshBatch, put
+from .mesh import MeshBatch, join, put
+from .pockets import untangle_by_pockets
 from .quality import Quality, quality
 from .segments import spread
 from .smoothing import SmoothOptions, smooth
@@ -36,7 +39,7 @@ class ImproveOptions:
 
     method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
     topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change
-    untangle          the untangling steps; "default" uses its own methods with these beta values
+    untangle          untangle-beta between the flips; "default" tries other ways where it fails
     smooth            the smoothing steps
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
@@ -44,9 +47,9 @@ class ImproveOptions:
 
     method: Literal["default", "paper"] = "default"
     topology: Literal["keep", "flip"] = "flip"
-    untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions(beta=0.3))
+    untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions("beta", beta=0.3, max_iterations=30))
     smooth: SmoothOptions = field(default_factory=SmoothOptions)
-    untangle_rounds: int = 3
+    untangle_rounds: int = 10
     smooth_rounds: int = 15
 
     def __post_init__(self) -> None:
@@ -62,12 +65,12 @@ class ImproveOptions:
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
         """Kim 2017 as printed: one flip pass, untangle-beta, repeat until valid, smooth once.
 
-        beta  0.01 in the mesh's own unit of area in the paper; None: 0.01 of the mean absolute area
+        beta  0.01 in the mesh's own unit of area in the paper; None: 0.1 of the mean absolute area
         topology="keep" gives the paper's ablation, steps 2 and 3 only.
         """
         settings: dict[str, Any] = {
             "method": "paper",
-            "untangle": UntangleOptions(method="beta", absolute_beta=beta, max_iterations=1000),
+            "untangle": UntangleOptions(method="beta", beta=0.1, absolute_beta=beta, max_iterations=1000),
             "untangle_rounds": 50,
         }
         return cls(**(settings | changes))
@@ -93,7 +96,9 @@ class Step:
 class Report:
     """What `improve` did, per mesh (B,).
 
-    status     int64 `Status`; valid bool, every triangle upright by exact sign
+    status     int64 `Status`
+    valid      bool, every triangle is upright by exact sign
+    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given
     quality    `Quality` at the end
     steps      for every mesh its rows of the paper's tables, in order
     messages   for every mesh, why it ended
@@ -101,6 +106,7 @@ class Report:
 
     status: Tensor
     valid: Tensor
+    certified: Tensor
     quality: Quality
     steps: list[list[Step]]
     messages: list[str]
@@ -124,6 +130,7 @@ class Report:
                 "status": Status(int(self.status[b])).name.lower(),
                 "message": self.messages[b],
                 "valid": bool(self.valid[b]),
+                "certified": bool(self.certified[b]),
                 "steps": [vars(step) for step in self.steps[b]],
             }
             for b in range(len(self.valid))
@@ -159,6 +166,7 @@ def improve(
     """
     options = options or ImproveOptions()
     job = _Job(batch, options, progress)
+    job.diagnose()
     if options.method == "paper":
         job.paper()
     else:
@@ -175,7 +183,8 @@ class _Job:
     """A batch on its way, with the log of what happened to each mesh."""
 
     def __init__(self, batch: MeshBatch, options: ImproveOptions, progress: Callable[[Progress], None] | None) -> None:
-        self.batch, self.options, self.progress = batch, options, progress
+        self.given = self.batch = batch
+        self.options, self.progress = options, progress
         self.quality = quality(batch)
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
         self.messages: dict[int, str] = {}
@@ -191,42 +200,64 @@ class _Job:
 
     def paper(self) -> None:
         """Kim 2017, figure 2."""
-        best = self.quality.inverted.clone()
+        best = self.quality.inverted
         since = torch.zeros_like(best)
-        for _ in range(self.options.untangle_rounds):
+        # Flips may open a way where minimising alone stood still; without them nothing would change.
+        patience = 10 if self.options.topology != "keep" else 1
+        for turn in range(self.options.untangle_rounds):
             if not bool(self.tangled.any()):
                 break
             if self.options.topology != "keep":
                 self._flip("flip", self.tangled, FlipOptions.paper())
-            self._untangle("untangle-beta", self.tangled, self.options.untangle)
-            better = self.quality.inverted < best
-            since = torch.where(better, 0, since + 1)
+            self._untangle("untangle-beta", self.tangled, self._turn(turn))
+            short = self._turn(turn).max_iterations < self.options.untangle.max_iterations
+            since = torch.where((self.quality.inverted < best) | short, 0, since + 1)
             best = torch.minimum(best, self.quality.inverted)
-            patience = 10 if self.options.topology != "keep" else 1
             self.status[self.tangled & (since >= patience)] = Status.STALLED
         self.status[self.tangled] = Status.ITERATION_LIMIT
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
+    def _turn(self, turn: int) -> UntangleOptions:
+        """Step 2 of an outer iteration: short at first, so that edges flip early, then ever longer.
+
+        Kim 2017 names no limit of its iterations.
+        """
+        return replace(
+            self.options.untangle, max_iterations=min(self.options.untangle.max_iterations, 10 * 2 ** (turn // 2))
+        )
+
+    def diagnose(self) -> None:
+        """Tell the meshes that no method can help, before any work on them."""
+        at = self.tangled
+        if not bool(at.any()):
+            return
+        meshes = at.nonzero().squeeze(1).tolist()
+        for problem in diagnose(self.batch.select(at)):
+            b = meshes[problem.mesh]
+            self.status[b] = Status.INFEASIBLE
+            self.messages[b] = f"{self.messages[b]}; {problem.message}" if b in self.messages else problem.message
+
     def untangle(self) -> None:
         """Every way that is left, in order of cost, for the meshes that are still tangled."""
         may_flip = self.options.topology != "keep"
-        given = self.batch
-        self._try("relax", given, lambda part: (relax(part), None))
+        self._try("relax", self.given, lambda part: (relax(part), None))
         relaxed = self.batch
         if may_flip:
-            beta = replace(self.options.untangle, method="beta", max_iterations=200)
-            before = 2 * self.quality.inverted
+            start = self.quality.inverted
+            best, since = start, torch.zeros_like(start)
             for _ in range(self.options.untangle_rounds):
-                going = self.tangled & (2 * self.quality.inverted <= before)
-                before = self.quality.inverted
+                going = self.tangled & (since < 2)
                 self._flip("flip", going, FlipOptions())
-                self._untangle("untangle-beta", going & self.tangled, beta)
+                self._untangle("untangle-beta", going & self.tangled, self.options.untangle)
+                since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
+                best = torch.minimum(best, self.quality.inverted)
+            self._try("pockets", self.batch, _by_pockets, 10 * self.quality.inverted <= start)
         regularised = UntangleOptions("regularised")
-        for start in (given, relaxed):
-            self._try("regularised", start, lambda part: untangle(part, regularised))
+        for origin in (self.given, relaxed):
+            self._try("regularised", origin, lambda part: untangle(part, regularised))
         if may_flip:
-            self._try("flip and regularised", self.batch, lambda part: untangle(flip_to_delaunay(part)[0], regularised))
+            self._try("pockets", self.batch, _by_pockets)
         self.status[self.tangled] = Status.STALLED
 
     def refine(self) -> None:
@@ -248,7 +279,8 @@ class _Job:
         """The certificate and the log."""
         valid = self.quality.inverted == 0
         messages = [self.messages.get(b, Status(int(status)).message) for b, status in enumerate(self.status.tolist())]
-        return Report(self.status, valid, self.quality, self.steps, messages)
+        certified = valid & _same_frame(self.given, self.batch)
+        return Report(self.status, valid, certified, self.quality, self.steps, messages)
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions) -> Tensor:
         flips = torch.zeros_like(self.status)
@@ -274,9 +306,11 @@ class _Job:
                 part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
-    def _try(self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple]) -> None:
+    def _try(
+        self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple], among: Tensor | None = None
+    ) -> None:
         """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now."""
-        at = self.tangled
+        at = self.tangled if among is None else self.tangled & among
         if not bool(at.any()):
             return
         with self._stage(stage, at) as done:
@@ -308,7 +342,7 @@ class _Job:
         columns = (q.mean[at], q.max[at], q.inverted[at], flips, iterations)
         meshes = at.nonzero().squeeze(1).tolist()
         for b, *row in zip(meshes, *(c.tolist() for c in columns), strict=True):
-            self.steps[b].append(Step(stage, *row, seconds))
+            self.steps[b].append(Step(stage, *row, seconds=seconds))
 
     def _monitor(self, stage: str, at: Tensor) -> Callable[[int, Tensor], None] | None:
         if self.progress is None:
@@ -320,6 +354,39 @@ class _Job:
                 report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
 
         return monitor
+
+
+def _same_frame(before: MeshBatch, after: MeshBatch) -> Tensor:
+    """(B,) bool: the same boundary edges and Euler number, every constrained edge there, fixed vertices unmoved."""
+    count = len(before.points)
+    same = torch.ones(len(before), dtype=torch.bool, device=before.points.device)
+
+    def fail(vertices: Tensor) -> None:
+        same[torch.bucketize(vertices, before.point_offsets[1:], right=True)] = False
+
+    fail((before.fixed & (before.points != after.points).any(1)).nonzero().squeeze(1))
+    if before.triangles is after.triangles:
+        return same
+    twin = connectivity.twins(after.triangles)
+    rims = [connectivity.boundary_edges(before.triangles, connectivity.twins(before.triangles)),
+            connectivity.boundary_edges(after.triangles, twin)]  # fmt: skip
+    old, new = (rim[:, 0] * count + rim[:, 1] for rim in rims)
+    fail(rims[0][~torch.isin(old, new), 0])
+    fail(rims[1][~torch.isin(new, old), 0])
+    # With the same triangle count and rim, the same Euler number is the same set of used vertices.
+    used = torch.zeros((2, count), dtype=torch.bool, device=same.device)
+    used[0, before.triangles.reshape(-1)] = True
+    used[1, after.triangles.reshape(-1)] = True
+    fail((used[0] != used[1]).nonzero().squeeze(1))
+    present = connectivity.edges(after.triangles, twin)
+    keys = connectivity.edge_keys(present[:, 0], present[:, 1], count)
+    wanted = before.constrained_edges
+    fail(wanted[~torch.isin(connectivity.edge_keys(wanted[:, 0], wanted[:, 1], count), keys), 0])
+    return same
+
+
+def _by_pockets(batch: MeshBatch) -> tuple[MeshBatch, None]:
+    return join([untangle_by_pockets(mesh).mesh for mesh in batch.split()]), None
 
 
 def _near(batch: MeshBatch, core: Tensor, rings: int) -> Tensor:

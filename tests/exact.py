@@ -1,0 +1,70 @@
+"""Independent judges: signs, areas and incidence in Python's exact rationals, without torchmesh."""
+
+from collections import Counter
+from fractions import Fraction
+
+import numpy as np
+
+
+def sign(value) -> int:
+    return (value > 0) - (value < 0)
+
+
+def double_area(a, b, c) -> Fraction:
+    """Twice the signed area of the triangle abc; each corner two floats."""
+    (ax, ay), (bx, by), (cx, cy) = ([Fraction(float(v)) for v in p] for p in (a, b, c))
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+def incircle(a, b, c, d) -> Fraction:
+    """Positive when d lies inside the circle through the counter-clockwise abc."""
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = ([Fraction(float(v)) for v in p] for p in (a, b, c, d))
+    ax, ay, bx, by, cx, cy = ax - dx, ay - dy, bx - dx, by - dy, cx - dx, cy - dy
+    return (
+        (ax * ax + ay * ay) * (bx * cy - by * cx)
+        - (bx * bx + by * by) * (ax * cy - ay * cx)
+        + (cx * cx + cy * cy) * (ax * by - ay * bx)
+    )
+
+
+def double_areas(mesh) -> list[Fraction]:
+    """Twice the signed area of every triangle of a mesh."""
+    points = mesh.points.tolist()
+    return [double_area(*(points[v] for v in row)) for row in mesh.triangles.tolist()]
+
+
+def inverted(mesh) -> int:
+    """Number of triangles whose area is not positive."""
+    return sum(area <= 0 for area in double_areas(mesh))
+
+
+def inverted_area(mesh) -> Fraction:
+    """Sum of |area| of the triangles whose area is negative."""
+    return sum((-area for area in double_areas(mesh) if area < 0), Fraction(0)) / 2
+
+
+def total_area(mesh) -> Fraction:
+    return sum(double_areas(mesh), Fraction(0)) / 2
+
+
+def edge_counts(triangles) -> Counter:
+    """How many triangles each undirected edge has."""
+    rows = np.asarray(triangles).tolist()
+    return Counter(frozenset(pair) for a, b, c in rows for pair in ((a, b), (b, c), (c, a)))
+
+
+def directed_edges(triangles) -> Counter:
+    """How often each directed edge is run along; once at most on an oriented manifold."""
+    rows = np.asarray(triangles).tolist()
+    return Counter(pair for a, b, c in rows for pair in ((a, b), (b, c), (c, a)))
+
+
+def boundary(triangles) -> set[tuple[int, int]]:
+    """The directed edges that no triangle runs along the other way."""
+    edges = set(directed_edges(triangles))
+    return {(u, v) for u, v in edges if (v, u) not in edges}
+
+
+def triangle_set(triangles) -> set[tuple[int, int, int]]:
+    """The triangles as a set, each turned so that its smallest vertex comes first: winding counts, rotation not."""
+    return {min((a, b, c), (b, c, a), (c, a, b)) for a, b, c in np.asarray(triangles).tolist()}
