@@ -537,6 +537,7 @@ def test_groups_outlive_another_number_of_triangles(tmp_path, gmsh_model, case):
         write(tmp_path / "out.msh", full, like=files[case])
     assert ("$Periodic" in warned(record)) == (b"$Periodic" in files[case].read_bytes())
     before, after = groups_of(gmsh, files[case]), groups_of(gmsh, tmp_path / "out.msh")
+    assert set(after) == set(before)
     assert len(after[1, 3, "seam"][0]) == len(before[1, 3, "seam"][0])
     steel, everything = (2, 7, "steel"), (2, 9, "all of it")  # the left half is in both
     inside = int(points[-1][0] < 1)  # is the split triangle in steel: one vertex more

@@ -46,7 +46,8 @@ app = typer.Typer(
 )
 
 # Typer carries click inside itself or imports it, depending on its version; either way this is
-# click's ClickException, the base of all that is wrong with a command line.
+# click's UsageError, and ClickException, the base of all that is wrong with a command line.
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 _BadCommandLine: type[Exception] = typer.BadParameter.__mro__[2]
 
 
@@ -172,14 +173,16 @@ def improve(
     from .quality import quality as measure
 
     if beta is not None and method is not Method.paper:
-        raise typer.BadParameter("--beta needs --method paper: the default method has no absolute beta")
+        raise _UsageError("--beta needs --method paper: the default method has no absolute beta")
+    if beta is not None and not math.isfinite(beta):
+        raise _UsageError(f"--beta must be a finite number, not {beta}")
     try:
         if method is Method.paper:
             options = ImproveOptions.paper(beta=beta, topology=topology.value)
         else:
             options = ImproveOptions(topology=topology.value)
     except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise _UsageError(str(error)) from None
     _check_outputs(source, target, report, plot)
     _check_mesh_target(target)
     if report is not None:
@@ -306,6 +309,7 @@ def warp(
 
     A large motion inverts triangles. That is no failure: the mesh is written and the count is said.
     """
+    from .errors import InvalidMeshError
     from .io import read, write
     from .pipeline import improve as run
     from .quality import quality as measure
@@ -314,21 +318,24 @@ def warp(
     asked = bool(move or rotate or displacement)
     if list_parts:
         if target or asked or improve_too:
-            raise typer.BadParameter("--list goes with IN alone")
+            raise _UsageError("--list goes with IN alone")
         _use_threads(1)
         _print_parts(read(source))
         return 0
     if target is None:
-        raise typer.BadParameter("Missing argument 'OUT', the file to write")
+        raise _UsageError("Missing argument 'OUT', the file to write")
     if not asked:
-        raise typer.BadParameter("nothing to move: give --move, --rotate or --displacement (--list names the parts)")
+        raise _UsageError("nothing to move: give --move, --rotate or --displacement (--list names the parts)")
     turns = [_Turn.of(text) for text in rotate or []]
     shifts = [_Shift.of(text) for text in move or []]
     _check_mesh_target(target)
     _use_threads(threads)
 
     mesh = read(source)
-    warped = femwarp(mesh, _new_boundary(mesh, turns, shifts, source, displacement))
+    try:
+        warped = femwarp(mesh, _new_boundary(mesh, turns, shifts, source, displacement))
+    except InvalidMeshError as error:
+        raise InvalidMeshError(f"{source}: {error}") from None
     q = measure(warped)
     columns = {"undeformed": _record(mesh, measure(mesh)), "warped": _record(warped, q)}
     message = ""
@@ -397,7 +404,7 @@ class _Part:
         if self.loop:
             loops = _loops(mesh)
             if self.loop not in loops:
-                raise typer.BadParameter(f"{self.option}: there is no {self.loop}, only {', '.join(loops)}")
+                raise _UsageError(f"{self.option}: there is no {self.loop}, only {', '.join(loops)}")
             inside[loops[self.loop]] = True
             return inside
         x0, y0, x1, y1 = self.box
@@ -405,7 +412,7 @@ class _Part:
         slack = 1e-9 * float(mesh.points.amax(0).sub(mesh.points.amin(0)).max())
         inside = mesh.fixed & ((mesh.points >= box[0] - slack) & (mesh.points <= box[1] + slack)).all(1)
         if not bool(inside.any()):
-            raise typer.BadParameter(f"{self.option}: no boundary vertex lies in that box")
+            raise _UsageError(f"{self.option}: no boundary vertex lies in that box")
         return inside
 
 
@@ -421,7 +428,7 @@ class _Shift:
         option = f"--move {text}"
         words = text.split(":")
         if len(words) != (3 if words[0] in ("outer", "hole") else 2):
-            raise typer.BadParameter(f"{option}: expected hole:N:DX,DY or outer:N:DX,DY or X0,Y0,X1,Y1:DX,DY")
+            raise _UsageError(f"{option}: expected hole:N:DX,DY or outer:N:DX,DY or X0,Y0,X1,Y1:DX,DY")
         return cls(_Part.of(option, words[:-1]), _numbers(option, words[-1], 2))
 
 
@@ -439,7 +446,7 @@ class _Turn:
         words = text.split(":")
         named = 2 if words[0] in ("outer", "hole") else 1
         if len(words) - named not in (1, 2):
-            raise typer.BadParameter(
+            raise _UsageError(
                 f"{option}: expected hole:N:DEG or outer:N:DEG or X0,Y0,X1,Y1:DEG, and :X,Y for another centre"
             )
         centre = _numbers(option, words[named + 1], 2) if len(words) > named + 1 else None
@@ -465,7 +472,7 @@ def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
         values = ()
     if len(values) != count or not all(math.isfinite(v) for v in values):
         what = "a number" if count == 1 else f"{count} numbers with commas between"
-        raise typer.BadParameter(f"{option}: {text!r} is not {what}")
+        raise _UsageError(f"{option}: {text!r} is not {what}")
     return values
 
 
@@ -493,10 +500,10 @@ def _field(mesh: "MeshBatch", source: Path, name: str) -> "Tensor":
     fields = load(source).mesh.point_data
     if name not in fields:
         known = f"it has {', '.join(map(repr, sorted(fields)))}" if fields else "it has none"
-        raise typer.BadParameter(f"--displacement {name}: {source} has no such point field; {known}")
+        raise _UsageError(f"--displacement {name}: {source} has no such point field; {known}")
     values = np.asarray(fields[name], dtype=np.float64)
     if values.ndim != 2 or values.shape[1] not in (2, 3):
-        raise typer.BadParameter(f"--displacement {name}: it has shape {values.shape}, not a vector for every point")
+        raise _UsageError(f"--displacement {name}: it has shape {values.shape}, not a vector for every point")
     vectors = torch.from_numpy(np.pad(values, ((0, 0), (0, 3 - values.shape[1]))))
     axes = mesh.frames[0, 1:]
     flat = vectors @ axes.T
@@ -504,9 +511,7 @@ def _field(mesh: "MeshBatch", source: Path, name: str) -> "Tensor":
     off = mesh.fixed & (away > 1e-6 * vectors.abs().amax(1))
     if bool(off.any()):
         row = int(off.nonzero()[0, 0])
-        raise InvalidMeshError(
-            f"{source}: point field {name!r} row {row} is {values[row].tolist()}: it leaves the plane"
-        )
+        raise InvalidMeshError(f"point field {name!r} row {row} is {values[row].tolist()}: it leaves the plane")
     return flat.to(mesh.points)
 
 
@@ -578,7 +583,7 @@ def _progress(quiet: bool) -> Iterator["Callable[[Progress], None] | None"]:
     if quiet:
         yield None
     elif console.is_terminal:
-        with console.status("reading", spinner="line") as status:
+        with console.status("starting", spinner="line") as status:
             yield lambda at: status.update(_progress_text(at, started))
     else:
         last = started
@@ -743,7 +748,7 @@ def _check_outputs(source: Path, target: Path, *others: Path | None) -> None:
     for path in others:
         if path is not None:
             if os.path.realpath(path) in taken:
-                raise typer.BadParameter(f"{path} is named twice: each file needs its own name")
+                raise _UsageError(f"{path} is named twice: each file needs its own name")
             taken.append(os.path.realpath(path))
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum
 
 import numpy as np
 import shapely
@@ -13,7 +13,7 @@ from .mesh import MeshBatch
 from .polygons import crossing_pairs, loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
 
 
-class ProblemKind(StrEnum):
+class ProblemKind(str, Enum):
     """What is wrong; the value says it in words."""
 
     DUPLICATE_VERTICES = "two fixed vertices in one place"

@@ -6,7 +6,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from . import formats
+from . import formats, formats_gmsh
 from .errors import InvalidMeshError
 
 _LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "pixel")
@@ -51,7 +51,7 @@ class Content:
                     f"rows of points run from 0 to {count - 1}"
                 )
         first = triangle = np.arange(len(rows))
-        if document.format == "gmsh":
+        if isinstance(document.rest, formats_gmsh.MshFile) and document.rest.version == "2.2":
             _, first, triangle = np.unique(np.sort(rows, 1), axis=0, return_index=True, return_inverse=True)
             order = first.argsort()
             first, triangle = first[order], order.argsort()[triangle.reshape(-1)]
@@ -105,16 +105,20 @@ def _check_cells(mesh: meshio.Mesh, path: Path) -> None:
 
 def _regions(mesh: meshio.Mesh, triangle: np.ndarray, count: int) -> np.ndarray:
     """(count,) which triangles agree in all region tags and cell sets (of all their rows)."""
-    columns = [np.zeros(len(triangle), np.int64)]
-    columns += [on_triangles(mesh, mesh.cell_data[name]) for name in region_names(mesh)]
+    columns = [on_triangles(mesh, mesh.cell_data[name]) for name in region_names(mesh)]
     for members in mesh.cell_sets.values():
         flags = [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, members, strict=True)]
         columns.append(on_triangles(mesh, flags))
-    _, code = np.unique(np.stack(columns, 1), axis=0, return_inverse=True)
+    code = np.zeros(len(triangle), np.int64)
+    for column in columns:
+        values, place = np.unique(column, return_inverse=True)
+        code = np.unique(code * len(values) + place.reshape(-1), return_inverse=True)[1].reshape(-1)
+    if len(triangle) == count:
+        return code
     # The rows of one triangle come in any order: a sum of random words names their set.
     words = np.random.default_rng(0).integers(1 << 62, size=int(code.max()) + 1, dtype=np.uint64)
     total = np.zeros(count, np.uint64)
-    np.add.at(total, triangle, words[code.reshape(-1)])
+    np.add.at(total, triangle, words[code])
     return np.unique(total, return_inverse=True)[1].reshape(-1)
 
 

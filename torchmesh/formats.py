@@ -22,7 +22,7 @@ from typing import Any
 import meshio
 import numpy as np
 
-from . import formats_gmsh, formats_text
+from . import formats_gmsh, formats_gmsh_write, formats_text
 from .errors import MeshError, MeshIOError, MeshWarning, MissingDependencyError
 
 
@@ -106,8 +106,10 @@ def load(path: Path) -> Document:
             raise MeshIOError(f"{path}: the file is empty")
         with _quiet(path, "read", form):
             return _load(path, form)
-    except PermissionError as error:
-        raise MeshIOError(f"{path}: cannot be read: {error.strerror or 'permission denied'}") from None
+    except MeshError:
+        raise
+    except OSError as error:
+        raise MeshIOError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def _load(path: Path, form: str) -> Document:
@@ -199,7 +201,6 @@ def _quiet(path: Path, verb: str, form: str) -> Iterator[None]:
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            warnings.simplefilter("default", MeshWarning)
             with np.errstate(all="ignore"):
                 yield
     except (MeshError, PermissionError):
@@ -215,10 +216,9 @@ def _quiet(path: Path, verb: str, form: str) -> Iterator[None]:
         else:
             text = " ".join(str(error).split()) if not isinstance(error, SystemExit) else ""
             reason = text or " ".join(said.getvalue().split()) or type(error).__name__
-            if isinstance(error, KeyError | IndexError | AssertionError | UnboundLocalError | AttributeError):
-                reason = (
-                    f"{type(error).__name__} {text}".strip() + " in meshio's reader: the file is damaged or unusual"
-                )
+            if isinstance(error, LookupError | AssertionError | UnboundLocalError | AttributeError):
+                reason = f"{type(error).__name__} {text}".strip()
+                reason += ": the file is damaged or unusual" if verb == "read" else ""
         raise MeshIOError(f"{path}: cannot be {'read as ' + kind if verb == 'read' else 'written'}: {reason}") from None
     for remark in re.split(r"(?:Warning|Info|Error):", said.getvalue()):
         remark = " ".join(remark.split())
@@ -268,8 +268,8 @@ def _save(name: str, form: str, mesh: meshio.Mesh, like: Document | None, same_r
     if form == "gmsh":
         if rest is None or not same_rows:
             version = rest.version if rest else "4.1"
-            mesh, rest = formats_gmsh.fresh(mesh, version, binary is None or binary, rest)
-        formats_gmsh.write(name, mesh, rest)
+            mesh, rest = formats_gmsh_write.fresh(mesh, version, binary is None or binary, rest)
+        formats_gmsh_write.write(name, mesh, rest)
     elif form == "su2":
         formats_text.write_su2(name, mesh, rest or [])
     elif form == "obj":

@@ -3,12 +3,11 @@
 meshio's own reader forgets what its mesh type cannot hold (groups of entities without nodes, second
 physical groups, node numbers, partitions, periodicity) and refuses files whose groups cover only
 some entities.  Here a file is its sections: nodes and elements are parsed, all others are kept as
-the bytes they are and written back.
+the bytes they are and written back (`formats_gmsh_write`).
 
     $MeshFormat ... $PhysicalNames ... $Entities ... $Nodes ... $Elements ... $NodeData ...
 """
 
-import itertools
 import re
 import warnings
 from dataclasses import dataclass, field, replace
@@ -18,25 +17,25 @@ import meshio
 import numpy as np
 
 # Gmsh's element numbers: meshio's name, dimension, nodes.
-_KINDS = {
+KINDS = {
     1: ("line", 1, 2), 2: ("triangle", 2, 3), 3: ("quad", 2, 4), 4: ("tetra", 3, 4), 5: ("hexahedron", 3, 8),
     6: ("wedge", 3, 6), 7: ("pyramid", 3, 5), 8: ("line3", 1, 3), 9: ("triangle6", 2, 6), 10: ("quad9", 2, 9),
     11: ("tetra10", 3, 10), 15: ("vertex", 0, 1), 16: ("quad8", 2, 8), 21: ("triangle10", 2, 10), 26: ("line4", 1, 4),
 }  # fmt: skip
-_NUMBERS = {name: (number, dim) for number, (name, dim, _) in _KINDS.items()}
-_TAGS = ("gmsh:physical", "gmsh:geometrical")
-_DATA = ("NodeData", "ElementData")
+NUMBERS = {name: (number, dim) for number, (name, dim, _) in KINDS.items()}
+TAGS = ("gmsh:physical", "gmsh:geometrical")
+DATA = ("NodeData", "ElementData")
 
 
 @dataclass(frozen=True)
-class _Nodes:
+class Nodes:
     entity: tuple[int, int, int]  # dimension, number, parametric or not
     numbers: np.ndarray  # (n,)
     coordinates: np.ndarray  # (n, 3), with parameters after them where parametric
 
 
 @dataclass(frozen=True)
-class _Elements:
+class Elements:
     kind: int
     entity: int
     numbers: np.ndarray  # (n,)
@@ -52,8 +51,8 @@ class MshFile:
     binary: bool
     size: int = 8
     sections: list[tuple[str, bytes]] = field(default_factory=list)
-    nodes: list[_Nodes] = field(default_factory=list)
-    elements: list[_Elements] = field(default_factory=list)
+    nodes: list[Nodes] = field(default_factory=list)
+    elements: list[Elements] = field(default_factory=list)
 
 
 class _Numbers:
@@ -126,7 +125,7 @@ def _sections(data: bytes) -> list[tuple[str, bytes]]:
     return found
 
 
-def _nodes_41(payload: bytes, binary: bool, size: int) -> list[_Nodes]:
+def _nodes_41(payload: bytes, binary: bool, size: int) -> list[Nodes]:
     numbers, blocks = _Numbers(payload, binary, "Nodes"), []
     count = f"u{size}"
     for _ in range(int(numbers.take(4, count)[0])):
@@ -134,38 +133,38 @@ def _nodes_41(payload: bytes, binary: bool, size: int) -> list[_Nodes]:
         n = int(numbers.take(1, count)[0])
         width = 3 + (dim if parametric else 0)
         names = numbers.take(n, count).astype(np.int64)
-        blocks.append(_Nodes((dim, entity, parametric), names, numbers.take(n * width, float).reshape(n, width)))
+        blocks.append(Nodes((dim, entity, parametric), names, numbers.take(n * width, float).reshape(n, width)))
     return blocks
 
 
-def _nodes_22(payload: bytes, binary: bool, _: int) -> list[_Nodes]:
+def _nodes_22(payload: bytes, binary: bool, _: int) -> list[Nodes]:
     head, body = payload.split(b"\n", 1)
     numbers, n = _Numbers(body, binary, "Nodes"), int(head)
     if binary:
         table = numbers.take(n, [("number", np.int32), ("at", float, 3)])
-        return [_Nodes((2, 0, 0), table["number"].astype(np.int64), np.array(table["at"]))]
+        return [Nodes((2, 0, 0), table["number"].astype(np.int64), np.array(table["at"]))]
     table = numbers.take(4 * n, float).reshape(n, 4)
-    return [_Nodes((2, 0, 0), table[:, 0].astype(np.int64), table[:, 1:])]
+    return [Nodes((2, 0, 0), table[:, 0].astype(np.int64), table[:, 1:])]
 
 
 def _kind(number: int) -> tuple[str, int, int]:
-    if number not in _KINDS:
+    if number not in KINDS:
         raise ValueError(f"element type {number} of Gmsh is not supported")
-    return _KINDS[number]
+    return KINDS[number]
 
 
-def _elements_41(payload: bytes, binary: bool, size: int) -> list[_Elements]:
+def _elements_41(payload: bytes, binary: bool, size: int) -> list[Elements]:
     numbers, blocks = _Numbers(payload, binary, "Elements"), []
     count = f"u{size}"
     for _ in range(int(numbers.take(4, count)[0])):
         _dim, entity, kind = numbers.take(3, np.int32).tolist()
         n, width = int(numbers.take(1, count)[0]), 1 + _kind(kind)[2]
         table = numbers.take(n * width, count).astype(np.int64).reshape(n, width)
-        blocks.append(_Elements(kind, entity, table[:, 0], np.zeros((n, 0), np.int64), table[:, 1:]))
+        blocks.append(Elements(kind, entity, table[:, 0], np.zeros((n, 0), np.int64), table[:, 1:]))
     return blocks
 
 
-def _elements_22(payload: bytes, binary: bool, _: int) -> list[_Elements]:
+def _elements_22(payload: bytes, binary: bool, _: int) -> list[Elements]:
     head, body = payload.split(b"\n", 1)
     numbers, total = _Numbers(body, binary, "Elements"), int(head)
     pieces: list[tuple[int, int, np.ndarray]] = []
@@ -192,7 +191,7 @@ def _elements_22(payload: bytes, binary: bool, _: int) -> list[_Elements]:
         done += len(table)
         if not len(table):
             raise ValueError("$Elements is damaged")
-    return [_Elements(kind, 0, t[:, 0], t[:, 1 : 1 + tags], t[:, 1 + tags :]) for kind, tags, t in pieces]
+    return [Elements(kind, 0, t[:, 0], t[:, 1 : 1 + tags], t[:, 1 + tags :]) for kind, tags, t in pieces]
 
 
 class _Lookup:
@@ -210,7 +209,7 @@ class _Lookup:
         return self.order[place]
 
 
-def _entity_groups(file: MshFile) -> dict[tuple[int, int], list[int]]:
+def entity_groups(file: MshFile) -> dict[tuple[int, int], list[int]]:
     """(dimension, number) of each entity to its physical groups; version 4.1."""
     groups: dict[tuple[int, int], list[int]] = {}
     payload = dict(file.sections).get("Entities")
@@ -228,12 +227,12 @@ def _entity_groups(file: MshFile) -> dict[tuple[int, int], list[int]]:
 
 
 def _to_mesh(file: MshFile, row_of: _Lookup) -> meshio.Mesh:
-    groups = _entity_groups(file) if file.version == "4.1" else {}
+    groups = entity_groups(file) if file.version == "4.1" else {}
     physical, elementary = [], []
     for block in file.elements:
         n = len(block.rows)
         if file.version == "4.1":
-            own = groups.get((_KINDS[block.kind][1], block.entity), [])
+            own = groups.get((KINDS[block.kind][1], block.entity), [])
             physical.append(np.full(n, abs(own[0]) if own else 0))
             elementary.append(np.full(n, block.entity))
         else:
@@ -244,7 +243,7 @@ def _to_mesh(file: MshFile, row_of: _Lookup) -> meshio.Mesh:
     cell_data["gmsh:geometrical"] = elementary
     points = np.concatenate([b.coordinates[:, :3] for b in file.nodes]) if file.nodes else np.zeros((0, 3))
     point_data: dict[str, np.ndarray] = {}
-    cells = [(_KINDS[b.kind][0], b.rows) for b in file.elements]
+    cells = [(KINDS[b.kind][0], b.rows) for b in file.elements]
     ends = np.cumsum([len(b.rows) for b in file.elements])[:-1]
     element_of = _Lookup(np.concatenate([b.numbers for b in file.elements] or [np.zeros(0, np.int64)]), "element")
     for section, payload in file.sections:
@@ -255,16 +254,16 @@ def _to_mesh(file: MshFile, row_of: _Lookup) -> meshio.Mesh:
             name, numbers, values = _data(payload, file.binary)
             total = sum(len(b.rows) for b in file.elements)
             cell_data[name] = np.split(_scattered(element_of(numbers), values, total), ends)
-    names = {name: np.array([tag, dim]) for dim, tag, name in _names(file)}
+    names = {name: np.array([tag, dim]) for dim, tag, name in physical_names(file)}
     return meshio.Mesh(points, cells, point_data=point_data, cell_data=cell_data, field_data=names)
 
 
-def _names(file: MshFile) -> list[tuple[int, int, str]]:
+def physical_names(file: MshFile) -> list[tuple[int, int, str]]:
     text = dict(file.sections).get("PhysicalNames", b"0").decode(errors="replace")
     return [(int(dim), int(tag), name) for dim, tag, name in re.findall(r'^\s*(\d+)\s+(-?\d+)\s+"(.*)"', text, re.M)]
 
 
-def _data_name(payload: bytes) -> str:
+def data_name(payload: bytes) -> str:
     return payload.split(b"\n", 2)[1].decode(errors="replace").strip().strip('"')
 
 
@@ -279,9 +278,9 @@ def _data(payload: bytes, binary: bool) -> tuple[str, np.ndarray, np.ndarray]:
     numbers = _Numbers(rest, binary, "Data")
     if binary:
         table = numbers.take(n, [("number", np.int32), ("values", float, (components,))])
-        return _data_name(payload), table["number"].astype(np.int64), table["values"]
+        return data_name(payload), table["number"].astype(np.int64), table["values"]
     table = numbers.take(n * (1 + components), float).reshape(n, 1 + components)
-    return _data_name(payload), table[:, 0].astype(np.int64), table[:, 1:]
+    return data_name(payload), table[:, 0].astype(np.int64), table[:, 1:]
 
 
 def _scattered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -289,176 +288,3 @@ def _scattered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     out = np.full((count, values.shape[1]), np.nan)
     out[rows] = values
     return out[:, 0] if out.shape[1] == 1 else out
-
-
-def write(path: str, mesh: meshio.Mesh, file: MshFile) -> None:
-    """Writes the file: its own sections, with nodes and elements (and data no longer in `mesh`) renewed.
-
-    `file` comes from `read`, its blocks answering to `mesh.cells` one to one, or from `fresh`.
-    """
-    starts = np.cumsum([0] + [len(b.numbers) for b in file.nodes])
-    nodes = [
-        replace(b, coordinates=np.column_stack([mesh.points[s : s + len(b.numbers)], b.coordinates[:, 3:]]))
-        for b, s in zip(file.nodes, starts[:-1], strict=True)
-    ]
-    elements = [replace(b, rows=c.data) for b, c in zip(file.elements, mesh.cells, strict=True)]
-    names = np.concatenate([b.numbers for b in nodes])
-    old = file.version == "2.2"
-    renewed = {
-        "Nodes": (_write_nodes_22 if old else _write_nodes_41)(nodes, file),
-        "Elements": (_write_elements_22 if old else _write_elements_41)(elements, names, file),
-    }
-    current = {"NodeData": mesh.point_data, "ElementData": mesh.cell_data}
-    kept = {(s, _data_name(p)) for s, p in file.sections if s in _DATA} - {("NodeData", "fixed")}
-    with open(path, "wb") as out:
-        for section, payload in file.sections:
-            if section in _DATA and (
-                (key := (section, _data_name(payload))) not in kept or key[1] not in current[section]
-            ):
-                continue
-            out.write(b"$%b\n%b$End%b\n" % (section.encode(), renewed.get(section, payload), section.encode()))
-        numbers = {"NodeData": names, "ElementData": np.concatenate([b.numbers for b in elements])}
-        for section, fields in current.items():
-            for name, values in fields.items():
-                if (section, name) in kept or name in _TAGS:
-                    continue
-                table = np.concatenate(values) if section == "ElementData" else values
-                body = _write_data(name, numbers[section], table, file.binary)
-                out.write(b"$%b\n%b$End%b\n" % (section.encode(), body, section.encode()))
-
-
-def fresh(mesh: meshio.Mesh, version: str, binary: bool, like: MshFile | None) -> tuple[meshio.Mesh, MshFile]:
-    """A new file for any mesh, and the mesh with one cell block per entity, in the order it was.
-
-    Elements of one (dimension, elementary tag, physical tag) make an entity.  In further physical
-    groups it is if it was so in `like`.
-    """
-    blocks: list[_Elements] = []
-    entities: dict[tuple[int, int, int], int] = {}
-    known = _entity_groups(like) if like is not None and like.version == "4.1" else {}
-    names = {n: v for n, v in mesh.field_data.items() if np.shape(v) == (2,) and np.asarray(v).dtype.kind in "iu"}
-    split: dict[str, list[np.ndarray]] = {name: [] for name in mesh.cell_data}
-    first = 1
-    for i, block in enumerate(mesh.cells):
-        kind, dim = _NUMBERS[block.type]
-        n = len(block.data)
-        zero = [np.zeros(n, np.int64)] * len(mesh.cells)
-        physical, elementary = (mesh.cell_data.get(name, zero)[i].astype(np.int64) for name in _TAGS)
-        runs = [0, *(1 + np.flatnonzero((np.diff(physical) != 0) | (np.diff(elementary) != 0))), n]
-        runs = [0, n] if version == "2.2" else runs
-        for start, end in itertools.pairwise(runs):
-            if start == end:
-                continue
-            key = (dim, int(elementary[start]), int(physical[start]))
-            taken = {entity for (d, _, _), entity in entities.items() if d == dim}
-            wanted = max(key[1], 1)
-            entity = entities.setdefault(key, wanted if wanted not in taken else max(taken) + 1)
-            tags = np.stack([physical, elementary], 1)[start:end] if version == "2.2" else np.zeros((end - start, 0))
-            blocks.append(_Elements(kind, entity, np.arange(first, first + end - start), tags, block.data[start:end]))
-            first += end - start
-            for name, values in mesh.cell_data.items():
-                split[name].append(values[i][start:end])
-    home = next((d, e) for (d, _, _), e in sorted(entities.items(), key=lambda item: -item[0][0]))
-    count = len(mesh.points)
-    nodes = [_Nodes((*home, 0), np.arange(1, count + 1), np.zeros((count, 3)))]
-    head = f"{version} {int(binary)} 8\n".encode() + (np.int32(1).tobytes() + b"\n" if binary else b"")
-    sections = [("MeshFormat", head)]
-    if names:
-        lines = sorted((int(v[1]), int(v[0]), name) for name, v in names.items())
-        text = "".join(f'{dim} {tag} "{name}"\n' for dim, tag, name in lines)
-        sections.append(("PhysicalNames", f"{len(lines)}\n{text}".encode()))
-    if version == "4.1":
-        box = mesh.points.min(0).tolist(), mesh.points.max(0).tolist()
-        sections.append(("Entities", _write_entities(entities, known, box, binary)))
-    sections += [("Nodes", b""), ("Elements", b"")]
-    cells = [(_KINDS[b.kind][0], b.rows) for b in blocks]
-    whole = meshio.Mesh(mesh.points, cells, point_data=mesh.point_data, cell_data=split)
-    return whole, MshFile(version, binary, 8, sections, nodes, blocks)
-
-
-def _text(table: np.ndarray) -> bytes:
-    """The rows as text, each number as short as gives it back to the bit."""
-    return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
-
-
-def _pack(binary: bool, *parts: tuple[Any, Any]) -> bytes:
-    """Numbers (values, dtype) one after another: raw, or as one line of text."""
-    arrays = [np.asarray(values).astype(dtype).reshape(-1) for values, dtype in parts]
-    if binary:
-        return b"".join(a.tobytes() for a in arrays)
-    return " ".join(repr(x) for a in arrays for x in a.tolist()).encode() + b"\n"
-
-
-def _write_entities(
-    entities: dict[tuple[int, int, int], int], known: dict[tuple[int, int], list[int]], box: Any, binary: bool
-) -> bytes:
-    out = [_pack(binary, ([sum(d == dim for d, _, _ in entities) for dim in range(4)], "u8"))]
-    for (dim, elementary, physical), entity in sorted(entities.items(), key=lambda item: (item[0][0], item[1])):
-        corners = box[0] if dim == 0 else [*box[0], *box[1]]
-        groups = [physical] if physical else []
-        before = known.get((dim, elementary), [])
-        groups = before if before and abs(before[0]) == physical else groups
-        parts = [(entity, "i4"), (corners, "f8"), (len(groups), "u8"), (groups, "i4")]
-        out.append(_pack(binary, *parts, *([] if dim == 0 else [(0, "u8")])))
-    return b"".join(out) + (b"\n" if binary else b"")
-
-
-def _write_nodes_41(blocks: list[_Nodes], file: MshFile) -> bytes:
-    numbers, size = np.concatenate([b.numbers for b in blocks]), f"u{file.size}"
-    out = [_pack(file.binary, ([len(blocks), len(numbers), numbers.min(), numbers.max()], size))]
-    for block in blocks:
-        out.append(_pack(file.binary, (block.entity, "i4"), (len(block.numbers), size)))
-        if file.binary:
-            out += [block.numbers.astype(size).tobytes(), block.coordinates.astype(float).tobytes()]
-        else:
-            out += [_text(block.numbers[:, None]), _text(block.coordinates)]
-    return b"".join(out) + (b"\n" if file.binary else b"")
-
-
-def _write_nodes_22(blocks: list[_Nodes], file: MshFile) -> bytes:
-    numbers, at = blocks[0].numbers, blocks[0].coordinates
-    head = b"%d\n" % len(numbers)
-    if not file.binary:
-        lines = zip(numbers.tolist(), at.tolist(), strict=True)
-        return head + "".join(f"{n} {x!r} {y!r} {z!r}\n" for n, (x, y, z) in lines).encode()
-    table = np.empty(len(numbers), [("number", np.int32), ("at", float, 3)])
-    table["number"], table["at"] = numbers, at
-    return head + table.tobytes() + b"\n"
-
-
-def _write_elements_41(blocks: list[_Elements], names: np.ndarray, file: MshFile) -> bytes:
-    numbers, size = np.concatenate([b.numbers for b in blocks]), f"u{file.size}"
-    out = [_pack(file.binary, ([len(blocks), len(numbers), numbers.min(), numbers.max()], size))]
-    for block in blocks:
-        out.append(
-            _pack(file.binary, ([_KINDS[block.kind][1], block.entity, block.kind], "i4"), (len(block.rows), size))
-        )
-        table = np.column_stack([block.numbers, names[block.rows]])
-        out.append(table.astype(size).tobytes() if file.binary else _text(table))
-    return b"".join(out) + (b"\n" if file.binary else b"")
-
-
-def _write_elements_22(blocks: list[_Elements], names: np.ndarray, file: MshFile) -> bytes:
-    out = [b"%d\n" % sum(len(b.rows) for b in blocks)]
-    for block in blocks:
-        n, tags = block.tags.shape
-        table = np.column_stack([block.numbers, block.tags, names[block.rows]]).astype(np.int32)
-        if file.binary:
-            out += [np.array([block.kind, n, tags], np.int32).tobytes(), table.tobytes()]
-        else:
-            kinds = np.broadcast_to(np.array([block.kind, tags]), (n, 2))
-            out.append(_text(np.column_stack([table[:, :1], kinds, table[:, 1:]])))
-    return b"".join(out) + (b"\n" if file.binary else b"")
-
-
-def _write_data(name: str, numbers: np.ndarray, values: np.ndarray, binary: bool) -> bytes:
-    table = np.asarray(values, float).reshape(len(numbers), -1)
-    missing = {2: 1, 4: 5, 5: 4, 6: 3, 7: 2, 8: 1}.get(table.shape[1], 0)  # Gmsh knows 1, 3 and 9 components
-    table = np.pad(table, ((0, 0), (0, missing)))
-    head = f'1\n"{name}"\n1\n0.0\n3\n0\n{table.shape[1]}\n{len(table)}\n'.encode()
-    if not binary:
-        lines = zip(numbers.tolist(), table.tolist(), strict=True)
-        return head + "".join(f"{n} {' '.join(map(repr, row))}\n" for n, row in lines).encode()
-    packed = np.empty(len(table), [("number", np.int32), ("values", float, (table.shape[1],))])
-    packed["number"], packed["values"] = numbers, table
-    return head + packed.tobytes() + b"\n"

@@ -49,9 +49,10 @@ def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike
 
     With `like`, the file the mesh was read from (it may be `path` itself), everything else of that
     file is carried over: fields, sets, names, lines, quads, version, text or binary.  Vertices that
-    have not moved keep their coordinates to the bit.  Cell data of triangles that is no region is
-    dropped when triangles changed; when their number or that of the vertices did, so is whatever
-    has no place in the new mesh.  A MeshWarning names what was dropped.
+    have not moved keep their coordinates to the bit.  When triangles changed, cell data is dropped
+    that is neither a region nor a number for every cell; when their number or that of the vertices
+    did, so is whatever has no place in the new mesh.  Region tags follow the boundary and the
+    constrained edges, whatever the order of the rows.  A MeshWarning names what was dropped.
 
     `fixed` is stored as point data where `like` has it, or where it is not what `read` would find
     anyway.  Without `like`, constrained edges are stored as line cells.
@@ -62,7 +63,7 @@ def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike
     path = _path(path)
     if len(mesh) != 1:
         raise InvalidMeshError(f"{path}: a file holds one mesh, this batch has {len(mesh)}: write each of mesh.split()")
-    mesh = mesh.to("cpu")
+    mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     formats.format_of(path)
     if like is None:
         document, content, same_rows = None, _fresh(mesh), False

@@ -223,9 +223,7 @@ class _Job:
 
         Kim 2017 names no limit of its iterations.
         """
-        return replace(
-            self.options.untangle, max_iterations=min(self.options.untangle.max_iterations, 10 * 2 ** (turn // 2))
-        )
+        return replace(self.options.untangle, max_iterations=min(self.options.untangle.max_iterations, 30 * 2**turn))
 
     def diagnose(self) -> None:
         """Tell the meshes that no method can help, before any work on them."""
@@ -341,8 +339,8 @@ class _Job:
         q = self.quality
         columns = (q.mean[at], q.max[at], q.inverted[at], flips, iterations)
         meshes = at.nonzero().squeeze(1).tolist()
-        for b, *row in zip(meshes, *(c.tolist() for c in columns), strict=True):
-            self.steps[b].append(Step(stage, *row, seconds=seconds))
+        for b, mean, worst, inverted, flipped, steps in zip(meshes, *(c.tolist() for c in columns), strict=True):
+            self.steps[b].append(Step(stage, mean, worst, inverted, flipped, steps, seconds))
 
     def _monitor(self, stage: str, at: Tensor) -> Callable[[int, Tensor], None] | None:
         if self.progress is None:

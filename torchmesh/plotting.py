@@ -61,9 +61,11 @@ def check_target(path: str | os.PathLike[str]) -> Path:
         raise MeshIOError(f"{path}: is a directory")
     if not folder.is_dir():
         raise MeshIOError(f"{path}: the directory {folder} does not exist")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise MeshIOError(f"{path}: cannot be written: no permission to write to {folder}")
-    return path
+    try:
+        with tempfile.TemporaryDirectory(prefix=".torchmesh-", dir=folder):
+            return path
+    except OSError as error:
+        raise MeshIOError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager

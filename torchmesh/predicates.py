@@ -21,7 +21,12 @@ def orientation(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: 
     rows = [v.to(torch.float64) for v in (ax, ay, bx, by, cx, cy)]
     ax, ay, bx, by, cx, cy = rows
     left, right = (bx - ax) * (cy - ay), (by - ay) * (cx - ax)
-    return _decide(left - right, left.abs() + right.abs(), _ORIENTATION_BOUND, rows, _exact_orientation)
+    # A difference has the right sign, so products of unlike sign need no further digits.
+    left_sign, right_sign = (bx - ax).sign() * (cy - ay).sign(), (by - ay).sign() * (cx - ax).sign()
+    plain = (left_sign != right_sign) | (left_sign == 0)
+    determinant = torch.where(plain, left_sign - right_sign, left - right)
+    magnitude = torch.where(plain, determinant.abs(), left.abs() + right.abs())
+    return _decide(determinant, magnitude, _ORIENTATION_BOUND, rows, _exact_orientation, plain)
 
 
 def incircle(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
@@ -38,8 +43,12 @@ def incircle(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Ten
     return _decide(determinant, magnitude, _INCIRCLE_BOUND, rows, _exact_incircle)
 
 
-def _decide(determinant: Tensor, magnitude: Tensor, bound: float, rows: list[Tensor], exact) -> Tensor:
+def _decide(
+    determinant: Tensor, magnitude: Tensor, bound: float, rows: list[Tensor], exact, known: Tensor | None = None
+) -> Tensor:
     sure = (determinant.abs() > bound * magnitude) & (magnitude > _UNDERFLOW) & magnitude.isfinite()
+    if known is not None:
+        sure |= known
     sign = determinant.sign().nan_to_num().to(torch.int8)
     unsure = (~sure).nonzero().squeeze(1)
     if len(unsure):

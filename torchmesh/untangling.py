@@ -103,7 +103,7 @@ def _untangle_beta(
         ),
     )
     settings = LbfgsOptions(
-        max_iterations=options.max_iterations, gradient_tolerance=1e-12, energy_tolerance=1e-4, first_step=0.1
+        max_iterations=options.max_iterations, gradient_tolerance=1e-12, energy_tolerance=1e-6, first_step=0.1
     )
     result = minimise(objective, packing.unknowns, settings, monitor)
     return result.unknowns, MoveInfo(
