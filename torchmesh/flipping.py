@@ -20,7 +20,7 @@ from torch import Tensor
 
 from .connectivity import next_in_triangle, previous_in_triangle
 from .predicates import incircle, orientation
-from .triangle import Corners, angle_at, inverse_mean_ratio
+from .triangle import Corners, inverse_mean_ratio
 
 
 class Quads(NamedTuple):
@@ -40,10 +40,21 @@ class Quads(NamedTuple):
 Rule = Callable[[Quads], tuple[Tensor, Tensor]]
 
 
-def opposite_angle_sum(q: Quads) -> Tensor:
-    """(N,) sum in radians of the unsigned angles at s and r, which see the edge u-w."""
-    at_s = angle_at(q.sx, q.sy, q.ux, q.uy, q.wx, q.wy)
-    return at_s + angle_at(q.rx, q.ry, q.ux, q.uy, q.wx, q.wy)
+def opposite_angle_rank(q: Quads) -> Tensor:
+    """(N,) the sum of the unsigned angles at s and r, which see the edge u-w, as a number from 0 to 4.
+
+    It grows with the sum and is 2 where that is pi: the angle of the product of the two corners as
+    complex numbers, measured along a square instead of a circle.  Plain arithmetic, so its bits
+    do not depend on where in a vector an edge stands, as those of atan2 do.
+    """
+    dot_s = (q.ux - q.sx) * (q.wx - q.sx) + (q.uy - q.sy) * (q.wy - q.sy)
+    dot_r = (q.ux - q.rx) * (q.wx - q.rx) + (q.uy - q.ry) * (q.wy - q.ry)
+    cross_s = _double_area(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy).abs()
+    cross_r = _double_area(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry).abs()
+    real, imaginary = dot_s * dot_r - cross_s * cross_r, dot_s * cross_r + cross_s * dot_r
+    size = real.abs() + imaginary.abs()
+    slope = real / torch.where(size > 0, size, 1.0)
+    return torch.where(imaginary >= 0, 1 - slope, 3 + slope)
 
 
 def new_signs(q: Quads) -> tuple[Tensor, Tensor]:
@@ -68,8 +79,8 @@ def kim_rule(q: Quads) -> tuple[Tensor, Tensor]:
     For two upright triangles the sum is compared by the exact in-circle sign, which is the same
     criterion (Delaunay); ranked by the sum.
     """
-    total = opposite_angle_sum(q)
-    eligible = total > torch.pi * (1 - 1e-12)
+    total = opposite_angle_rank(q)
+    eligible = total > 2 - 1e-12
     rows = eligible.nonzero().squeeze(1)
     few = Quads(*(v[rows] for v in q))
     left, right = old_signs(few)
@@ -77,7 +88,7 @@ def kim_rule(q: Quads) -> tuple[Tensor, Tensor]:
     inside = incircle(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy, few.rx, few.ry) > 0
     first, second = new_signs(few)
     eligible = eligible.clone()
-    eligible[rows] = torch.where(upright, inside, total[rows] > torch.pi) & (first > 0) & (second > 0)
+    eligible[rows] = torch.where(upright, inside, total[rows] > 2) & (first > 0) & (second > 0)
     return eligible, total
 
 
@@ -138,7 +149,7 @@ def _pair_energy(q: Quads, flipped: bool) -> Tensor:
 
 
 def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> Tensor:
-    """(N,) bool: do the tails of the half-edges `start` (N,) have an edge to `target` (N,) already."""
+    """(N,) bool: does the fan of triangles round the tail of each half-edge `start` (N,) have an edge to `target`."""
     found = torch.zeros(len(start), dtype=torch.bool, device=start.device)
     rows = torch.arange(len(start), device=start.device)
     here = start
@@ -191,6 +202,7 @@ def flip_rounds(
     vertex, twin, locked = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
     moved = torch.arange(len(vertex), device=vertex.device)
     best = torch.full((len(triangles),), len(vertex), dtype=torch.int64, device=vertex.device)
+    pinched = torch.bincount(vertex[twin < 0], minlength=len(points)) > 1
     log = []
     if around is None:
         queue = (twin > moved).nonzero().squeeze(1)
@@ -199,7 +211,7 @@ def flip_rounds(
         queue = _canonical(corner, twin)
     for _ in range(max_rounds):
         queue = queue[~locked[queue]]
-        h, rank = _eligible(x, y, vertex, twin, queue, rule)
+        h, rank, barred = _eligible(x, y, vertex, twin, pinched, queue, rule)
         if not len(h):
             break
         # Equal ranks stay in the order of their index: h ascends and the sort is stable.
@@ -211,7 +223,7 @@ def flip_rounds(
         g = twin[flipped]
         _flip(vertex, twin, locked, moved, flipped, g, once)
         outer = torch.cat([flipped, previous_in_triangle(flipped), g, previous_in_triangle(g)])
-        queue = _canonical(torch.cat([moved[left], outer]), twin)
+        queue = _canonical(torch.cat([moved[left], moved[barred], outer]), twin)
         for h_slot in (next_in_triangle(flipped), next_in_triangle(g)):
             moved[h_slot] = h_slot
     flips = torch.cat(log) if log else torch.zeros(0, dtype=torch.int64, device=vertex.device)
@@ -242,8 +254,14 @@ def _canonical(h: Tensor, twin: Tensor) -> Tensor:
     return torch.minimum(h[inner], other[inner]).unique()
 
 
-def _eligible(x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, queue: Tensor, rule: Rule) -> tuple[Tensor, Tensor]:
-    """The half-edges of the queue that the rule wants flipped and that may be, with their rank."""
+def _eligible(
+    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, pinched: Tensor, queue: Tensor, rule: Rule
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The half-edges of the queue that the rule wants flipped and that may be, with their rank.
+
+    And those it wants flipped whose new edge is there already: they wait until it goes.
+    pinched  (V,) bool, the vertices where several fans of triangles meet
+    """
     g = twin[queue]
     u, w = vertex[queue], vertex[g]
     s, r = vertex[previous_in_triangle(queue)], vertex[previous_in_triangle(g)]
@@ -254,8 +272,13 @@ def _eligible(x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, queue: Tensor,
     )  # fmt: skip
     wanted, rank = rule(quads)
     rows = (wanted & (s != r)).nonzero().squeeze(1)
-    rows = rows[~edge_exists(vertex, twin, previous_in_triangle(queue[rows]), r[rows])]
-    return queue[rows], rank[rows]
+    s, r = s[rows], r[rows]
+    # Walking one fan tells all edges of a vertex that has only one.
+    from_r = pinched[s]
+    start = previous_in_triangle(torch.where(from_r, g[rows], queue[rows]))
+    exists = edge_exists(vertex, twin, start, torch.where(from_r, s, r)) | (pinched[s] & pinched[r])
+    free = rows[~exists]
+    return queue[free], rank[free], queue[rows[exists]]
 
 
 def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:

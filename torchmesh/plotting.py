@@ -208,7 +208,7 @@ def worst_place(mesh: MeshBatch, quality: Quality, aspect: float = 1.0) -> Box:
         bad = np.argsort(-ratio, kind="stable")[:5]
     bad = bad[np.argsort(-ratio[bad], kind="stable")][:5000]
     extent = _extent(mesh)
-    across = float(np.hypot(extent[2] - extent[0], extent[3] - extent[1]))
+    across = float(np.hypot(extent[2] - extent[0], extent[3] - extent[1])) or 1.0
     centre = shape[bad].mean(1)
     reach = 0.05 * across
     tree = cKDTree(centre)
@@ -220,7 +220,8 @@ def worst_place(mesh: MeshBatch, quality: Quality, aspect: float = 1.0) -> Box:
     middle = (low + high) / 2
     near = (np.abs(near - middle) <= np.maximum(high - low, reach)).all(1)
     size = 1.5 * float(np.sqrt(np.median(quality.area.abs().cpu().numpy()[near])))
-    half = np.maximum(0.75 * (high - low), min(5 * size, 0.25 * across) * np.array([1 / max(aspect, 1.0), 1.0]))
+    least = float(np.clip(5 * size, 0.01 * across, 0.25 * across))
+    half = np.maximum(0.75 * (high - low), least * np.array([1 / max(aspect, 1.0), 1.0]))
     return _shaped((*(middle - half).tolist(), *(middle + half).tolist()), aspect)
 
 
@@ -359,7 +360,7 @@ def _joint(one: Box, other: Box) -> Box:
 
 
 def _grown(box: Box, part: float) -> Box:
-    margin = part * max(box[2] - box[0], box[3] - box[1])
+    margin = part * (max(box[2] - box[0], box[3] - box[1]) or 1.0)
     return box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin
 
 

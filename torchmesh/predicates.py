@@ -5,6 +5,8 @@ Geometric Predicates, 1997) decides nearly all rows; the few it cannot decide ar
 integers of any length.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -21,12 +23,7 @@ def orientation(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: 
     rows = [v.to(torch.float64) for v in (ax, ay, bx, by, cx, cy)]
     ax, ay, bx, by, cx, cy = rows
     left, right = (bx - ax) * (cy - ay), (by - ay) * (cx - ax)
-    # A difference has the right sign, so products of unlike sign need no further digits.
-    left_sign, right_sign = (bx - ax).sign() * (cy - ay).sign(), (by - ay).sign() * (cx - ax).sign()
-    plain = (left_sign != right_sign) | (left_sign == 0)
-    determinant = torch.where(plain, left_sign - right_sign, left - right)
-    magnitude = torch.where(plain, determinant.abs(), left.abs() + right.abs())
-    return _decide(determinant, magnitude, _ORIENTATION_BOUND, rows, _exact_orientation, plain)
+    return _decide(left - right, left.abs() + right.abs(), _ORIENTATION_BOUND, rows, _exact_orientation)
 
 
 def incircle(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
@@ -44,23 +41,46 @@ def incircle(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Ten
 
 
 def _decide(
-    determinant: Tensor, magnitude: Tensor, bound: float, rows: list[Tensor], exact, known: Tensor | None = None
+    determinant: Tensor,
+    magnitude: Tensor,
+    bound: float,
+    rows: list[Tensor],
+    exact: Callable[[list[Tensor]], Tensor],
 ) -> Tensor:
+    """(N,) int8 sign of the determinant: its own where rounding cannot change it, else that of `exact`."""
     sure = (determinant.abs() > bound * magnitude) & (magnitude > _UNDERFLOW) & magnitude.isfinite()
-    if known is not None:
-        sure |= known
     sign = determinant.sign().nan_to_num().to(torch.int8)
     unsure = (~sure).nonzero().squeeze(1)
     if len(unsure):
-        columns = _integers(torch.stack([r[unsure] for r in rows], 1).detach().cpu().numpy())
-        value = exact(*columns)
-        signs = (value > 0).astype(np.int8) - (value < 0).astype(np.int8)
-        sign[unsure] = torch.from_numpy(signs.astype(np.int8)).to(sign.device)
+        sign[unsure] = exact([r[unsure] for r in rows])
     return sign
 
 
-def _integers(values: np.ndarray) -> list[np.ndarray]:
-    """(N, k) floats to k object columns of Python integers, each row times one power of two."""
+def _exact_orientation(rows: list[Tensor]) -> Tensor:
+    ax, ay, bx, by, cx, cy = rows
+    # Rounding keeps the sign of a difference, so products of unlike sign need no further digits.
+    left, right = (bx - ax).sign() * (cy - ay).sign(), (by - ay).sign() * (cx - ax).sign()
+    sign = (left - right).sign().to(torch.int8)
+    alike = ((left == right) & (left != 0)).nonzero().squeeze(1)
+    if len(alike):
+        iax, iay, ibx, iby, icx, icy = _integers([r[alike] for r in rows])
+        sign[alike] = _signs((ibx - iax) * (icy - iay) - (iby - iay) * (icx - iax)).to(sign.device)
+    return sign
+
+
+def _exact_incircle(rows: list[Tensor]) -> Tensor:
+    ax, ay, bx, by, cx, cy, dx, dy = _integers(rows)
+    ax, ay, bx, by, cx, cy = ax - dx, ay - dy, bx - dx, by - dy, cx - dx, cy - dy
+    return _signs(
+        (ax * ax + ay * ay) * (bx * cy - by * cx)
+        + (bx * bx + by * by) * (cx * ay - cy * ax)
+        + (cx * cx + cy * cy) * (ax * by - ay * bx)
+    ).to(rows[0].device)
+
+
+def _integers(columns: list[Tensor]) -> list[np.ndarray]:
+    """(N,) float columns to object columns of Python integers, each row times one power of two."""
+    values = torch.stack(columns, 1).detach().cpu().numpy()
     mantissa, exponent = np.frexp(values)
     exponent = np.where(mantissa == 0, np.iinfo(exponent.dtype).max, exponent)
     shift = np.where(mantissa == 0, 0, exponent - exponent.min(1, keepdims=True))
@@ -68,14 +88,5 @@ def _integers(values: np.ndarray) -> list[np.ndarray]:
     return list(whole.T)
 
 
-def _exact_orientation(ax, ay, bx, by, cx, cy) -> np.ndarray:
-    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-
-
-def _exact_incircle(ax, ay, bx, by, cx, cy, dx, dy) -> np.ndarray:
-    ax, ay, bx, by, cx, cy = ax - dx, ay - dy, bx - dx, by - dy, cx - dx, cy - dy
-    return (
-        (ax * ax + ay * ay) * (bx * cy - by * cx)
-        + (bx * bx + by * by) * (cx * ay - cy * ax)
-        + (cx * cx + cy * cy) * (ax * by - ay * bx)
-    )
+def _signs(values: np.ndarray) -> Tensor:
+    return torch.from_numpy((values > 0).astype(np.int8) - (values < 0).astype(np.int8))

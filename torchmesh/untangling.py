@@ -175,23 +175,22 @@ def _next_eps(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Ten
 def local_size(batch: MeshBatch, sweeps: int = 20) -> Tensor:
     """(V,) side of the equilateral triangle a vertex's triangles should have, in the batch's unit.
 
-    From the mean |area| round each vertex, averaged in the logarithm over neighbours `sweeps`
-    times, then scaled per mesh so that the triangles' target areas sum to the enclosed area.
+    From the mean |area| round each vertex, its root averaged over neighbours `sweeps` times, then
+    scaled per mesh so that the triangles' target areas sum to the enclosed area.
     """
     t = corners(batch.points.to(torch.float64), batch.triangles)
     area = signed_area(t)
     offsets = batch.triangle_offsets
     enclosed = segment_sum(area, offsets)
     mean = spread(segment_sum(area.abs(), offsets) / counts_from_offsets(offsets), offsets)
-    share = (area.abs() / mean).clamp_min(1e-6)
+    share = area.abs() / torch.where(mean > 0, mean, 1.0)
     corner = batch.triangles.reshape(-1)
     count = torch.bincount(corner, minlength=len(batch.points)).clamp_min(1)
-    log_size = share.new_zeros(len(batch.points)).index_add_(0, corner, share.repeat_interleave(3))
-    log_size = torch.log(log_size.clamp_min(1e-12) / count)
+    size = share.new_zeros(len(batch.points)).index_add_(0, corner, share.repeat_interleave(3))
+    size = (size / count).sqrt().clamp_min(1e-3)
     for _ in range(sweeps):
-        per_triangle = log_size[batch.triangles].mean(1)
-        log_size = log_size.new_zeros(len(log_size)).index_add_(0, corner, per_triangle.repeat_interleave(3)) / count
-    size = torch.exp(0.5 * log_size)
+        per_triangle = size[batch.triangles].mean(1)
+        size = size.new_zeros(len(size)).index_add_(0, corner, per_triangle.repeat_interleave(3)) / count
     target = size[batch.triangles].mean(1).square() * (SQRT3 / 4)
     factor = (enclosed.abs() / segment_sum(target, offsets)).sqrt()
     return size * spread(factor, batch.point_offsets)
