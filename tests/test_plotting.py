@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 
+
 def pixels(path: Path) -> np.ndarray:
     return imread(path)[..., :3]
 
@@ -167,13 +168,18 @@ def test_places_that_cannot_be_written_to(tmp_path, monkeypatch):
 def test_replacing_leaves_the_old_file_when_the_new_one_fails(tmp_path):
     target = tmp_path / "file.txt"
     target.write_text("old")
-    with pytest.raises(ZeroDivisionError), replacing(target) as path:
-        path.write_text("half")
-        raise ZeroDivisionError
-    assert target.read_text() == "old"
-    with pytest.raises(MeshIOError, match="No space left"), replacing(target) as path:
-        path.write_text("half")
-        raise OSError(28, "No space left on device")
+
+    def half(error: Exception) -> None:
+        with replacing(target) as path:
+            path.write_text("half")
+            raise error
+
+    with pytest.raises(ZeroDivisionError):
+        half(ZeroDivisionError())
+    with pytest.raises(MeshIOError, match="file.txt: cannot be written: No space left on device"):
+        half(OSError(28, "No space left on device"))
+    with pytest.raises(KeyboardInterrupt):
+        half(KeyboardInterrupt())
     assert target.read_text() == "old"
     with replacing(target) as path:
         path.write_text("new")

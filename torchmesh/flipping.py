@@ -129,14 +129,22 @@ def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
 
 
 def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
-    """Flip between upright pairs when the sum of squared inverse mean ratios falls: the smoother's energy."""
-    gain = _pair_energy(q, False) - _pair_energy(q, True)
-    rows = (gain > 1e-10).nonzero().squeeze(1)
+    """Flip between upright pairs when the sum of squared inverse mean ratios falls: the smoother's energy.
+
+    Only edges that are nearly not Delaunay are asked: the longer diagonal of two good triangles.
+    """
+    near = _cotangent_deficit(q) > -0.5
+    rows = near.nonzero().squeeze(1)
     few = Quads(*(v[rows] for v in q))
-    eligible = gain > 1e-10
-    signs = old_signs(few) + new_signs(few)
-    eligible[rows] = torch.stack(signs).amin(0) > 0
-    return eligible, gain
+    gain = _pair_energy(few, False) - _pair_energy(few, True)
+    wins = (gain > 1e-10).nonzero().squeeze(1)
+    fewer = Quads(*(v[wins] for v in few))
+    legal = torch.stack(old_signs(fewer) + new_signs(fewer)).amin(0) > 0
+    eligible = torch.zeros_like(near)
+    eligible[rows[wins[legal]]] = True
+    rank = torch.zeros_like(q.ux)
+    rank[rows] = gain
+    return eligible, rank
 
 
 def _pair_energy(q: Quads, flipped: bool) -> Tensor:

@@ -29,7 +29,7 @@ from .quality import Quality, quality
 from .segments import spread
 from .smoothing import SmoothOptions, smooth
 from .status import Status
-from .untangling import UntangleOptions, untangle
+from .untangling import UntangleOptions, small_triangles, untangle
 from .warping import relax
 
 
@@ -178,6 +178,9 @@ def improve(
 # Triangles of a worse inverse mean ratio than this are polished, with three rings of neighbours.
 _POLISHED = 1.2
 
+# Rings of vertices round the triangles that untangle-beta pushes which may give way.
+_REACH = 6
+
 
 class _Job:
     """A batch on its way, with the log of what happened to each mesh."""
@@ -261,7 +264,7 @@ class _Job:
     def refine(self) -> None:
         """Flips and smoothing in turn on the valid meshes, then care for their worst triangles."""
         going = self.quality.inverted == 0
-        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=40, energy_tolerance=1e-4)
+        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=20, energy_tolerance=1e-3)
         if self.options.topology != "keep":
             for turn in range(self.options.smooth_rounds):
                 mean, worst = self.quality.mean, self.quality.max
@@ -270,7 +273,7 @@ class _Job:
                 settled = (mean - self.quality.mean < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
                 going = going & (flips > 0) & (~settled if turn else going)
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
-        self._smooth("polish", self.quality.inverted == 0, SmoothOptions(power=8, energy_tolerance=1e-4), polish=True)
+        self._smooth("polish", self.quality.inverted == 0, SmoothOptions(power=8, energy_tolerance=1e-3), polish=True)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
     def report(self) -> Report:
@@ -292,7 +295,9 @@ class _Job:
     def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> None:
         if bool(at.any()):
             with self._stage(stage, at) as done:
-                part, info = untangle(self.batch.select(at), options, monitor=self._monitor(stage, at))
+                part = self.batch.select(at)
+                free = _near(part, small_triangles(part, options.beta), _REACH)
+                part, info = untangle(part, options, free=free, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
     def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, polish: bool = False) -> None:

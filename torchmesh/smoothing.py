@@ -28,7 +28,7 @@ class SmoothOptions:
 
     power: int = 2
     max_iterations: int = 300
-    energy_tolerance: float = 1e-6
+    energy_tolerance: float = 1e-5
     gradient_tolerance: float = 1e-6
 
     def __post_init__(self) -> None:

@@ -111,6 +111,13 @@ def _untangle_beta(
     )
 
 
+def small_triangles(batch: MeshBatch, beta: float) -> Tensor:
+    """(T,) bool: the triangles of less area than `beta` of their mesh's mean, which untangle-beta pushes."""
+    area = signed_area(corners(batch.points.to(torch.float64), batch.triangles))
+    mean = segment_sum(area.abs(), batch.triangle_offsets) / counts_from_offsets(batch.triangle_offsets)
+    return area < beta * spread(mean, batch.triangle_offsets)
+
+
 def _regularised(
     batch: MeshBatch, packing: Packing, options: UntangleOptions, monitor: Monitor | None
 ) -> tuple[Tensor, MoveInfo]:
