@@ -176,7 +176,7 @@ def test_replacing_leaves_the_old_file_when_the_new_one_fails(tmp_path):
 
     with pytest.raises(ZeroDivisionError):
         half(ZeroDivisionError())
-    with pytest.raises(MeshIOError, match="file.txt: cannot be written: No space left on device"):
+    with pytest.raises(MeshIOError, match=r"file\.txt: cannot be written: No space left on device"):
         half(OSError(28, "No space left on device"))
     with pytest.raises(KeyboardInterrupt):
         half(KeyboardInterrupt())

@@ -70,15 +70,21 @@ class Energy(Protocol):
 class InverseMeanRatio:
     """q^p with q = stretch / (2 det), the inverse mean ratio (Kim 2017, equations 2 and 4; Munson 2007).
 
+    ceiling  if given, (q / ceiling)^8 is added, which is felt by triangles near and above it only
+
     Infinite for a triangle that is not upright, so that no step can invert one.
     """
 
     power: int = 2
+    ceiling: float | None = None
 
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
         upright = det > 0
         ratio = stretch / (2 * torch.where(upright, det, 1.0))
-        return torch.where(upright, ratio**self.power, torch.inf)
+        phi = ratio**self.power
+        if self.ceiling is not None:
+            phi = phi + (ratio / self.ceiling) ** 8
+        return torch.where(upright, phi, torch.inf)
 
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         # A det that is not positive becomes tiny: its phi overflows the line search's test.
@@ -88,8 +94,14 @@ class InverseMeanRatio:
         lower = ratio if self.power > 1 else torch.ones_like(ratio)
         for _ in range(self.power - 2):
             lower = lower * ratio
-        slope = 0.5 * self.power * lower * inverse
-        return lower * ratio, slope, -2.0 * ratio * slope
+        phi, by_ratio = lower * ratio, self.power * lower
+        if self.ceiling is not None:
+            excess = ratio * (1 / self.ceiling)
+            eighth = excess.square().square_().square_()
+            phi += eighth
+            by_ratio += 8 * eighth / ratio
+        slope = 0.5 * by_ratio * inverse
+        return phi, slope, -2.0 * ratio * slope
 
 
 @dataclass(frozen=True)

@@ -199,7 +199,7 @@ class _Run:
     def step(self, iteration: int) -> None:
         """Try one step of every problem; accept it or shorten it."""
         running = self.status == Status.RUNNING
-        m, slot = self.options.history, iteration % self.options.history
+        slot = iteration % self.options.history
         move = self.d * self._to_blocks(self.t)
         x = torch.addcmul(self.x, move, self.scale)
         energy, gradient, done = self.objective(x.reshape(-1))

@@ -417,8 +417,7 @@ def _winding_repair(count: int, left: Tensor, right: Tensor, clash: Tensor) -> T
     # Two triangles that share two edges sum their entries; either edge tells the same.
     graph.data = np.where(graph.data % 2 == 0, 2, 1).astype(np.int8)
     turn = np.zeros(count, bool)
-    parts, label = connected_components(graph, directed=False)
-    starts = np.unique(label, return_index=True)[1]
+    starts = np.unique(connected_components(graph, directed=False)[1], return_index=True)[1]
     for start in starts:
         order, before = breadth_first_order(graph, start, directed=False)
         relation = np.asarray(graph[order[1:], before[order[1:]]]).ravel() == 2

@@ -26,7 +26,6 @@ from .errors import ConvergenceError
 from .mesh import MeshBatch, join, put
 from .pockets import untangle_by_pockets
 from .quality import Quality, quality
-from .segments import spread
 from .smoothing import SmoothOptions, smooth
 from .status import Status
 from .untangling import UntangleOptions, small_triangles, untangle
@@ -48,7 +47,7 @@ class ImproveOptions:
     method: Literal["default", "paper"] = "default"
     topology: Literal["keep", "flip"] = "flip"
     untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions("beta", beta=0.3, max_iterations=30))
-    smooth: SmoothOptions = field(default_factory=SmoothOptions)
+    smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
     untangle_rounds: int = 10
     smooth_rounds: int = 15
 
@@ -72,6 +71,7 @@ class ImproveOptions:
             "method": "paper",
             "untangle": UntangleOptions(method="beta", beta=0.1, absolute_beta=beta, max_iterations=1000),
             "untangle_rounds": 50,
+            "smooth": SmoothOptions(),
         }
         return cls(**(settings | changes))
 
@@ -175,9 +175,6 @@ def improve(
     return job.batch, job.report()
 
 
-# Triangles of a worse inverse mean ratio than this are polished, with three rings of neighbours.
-_POLISHED = 1.2
-
 # Rings of vertices round the triangles that untangle-beta pushes which may give way.
 _REACH = 6
 
@@ -226,7 +223,7 @@ class _Job:
 
         Kim 2017 names no limit of its iterations.
         """
-        return replace(self.options.untangle, max_iterations=min(self.options.untangle.max_iterations, 30 * 2**turn))
+        return replace(self.options.untangle, max_iterations=min(self.options.untangle.max_iterations, 20 * 3**turn))
 
     def diagnose(self) -> None:
         """Tell the meshes that no method can help, before any work on them."""
@@ -262,7 +259,7 @@ class _Job:
         self.status[self.tangled] = Status.STALLED
 
     def refine(self) -> None:
-        """Flips and smoothing in turn on the valid meshes, then care for their worst triangles."""
+        """Flips and smoothing in turn on the valid meshes, then smoothing that cares for the worst triangles."""
         going = self.quality.inverted == 0
         rough = SmoothOptions(power=self.options.smooth.power, max_iterations=20, energy_tolerance=1e-3)
         if self.options.topology != "keep":
@@ -273,7 +270,6 @@ class _Job:
                 settled = (mean - self.quality.mean < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
                 going = going & (flips > 0) & (~settled if turn else going)
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
-        self._smooth("polish", self.quality.inverted == 0, SmoothOptions(power=8, energy_tolerance=1e-3), polish=True)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
     def report(self) -> Report:
@@ -300,13 +296,11 @@ class _Job:
                 part, info = untangle(part, options, free=free, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
-    def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, polish: bool = False) -> None:
+    def _smooth(self, stage: str, at: Tensor, options: SmoothOptions) -> None:
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
-                shape = self.quality.inverse_mean_ratio[spread(at, self.batch.triangle_offsets)]
-                free = _near(part, shape > _POLISHED, 3) if polish else None
-                part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at))
+                part, info = smooth(part, options, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
     def _try(

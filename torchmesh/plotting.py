@@ -49,8 +49,17 @@ def check_picture_path(path: str | os.PathLike[str]) -> Path:
         what = f"the extension {path.suffix!r} is no picture's" if path.suffix else "it has no extension"
         raise MeshIOError(f"{path}: {what}; use one of {' '.join(PICTURE_EXTENSIONS)}")
     check_target(path)
-    _figure_class()
+    require_matplotlib()
     return path
+
+
+def require_matplotlib() -> None:
+    """Raises MissingDependencyError, naming the extra, without matplotlib."""
+    try:
+        import matplotlib.backends.backend_agg
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise MissingDependencyError("pictures need matplotlib: pip install 'torchmesh-untangle[plot]'") from None
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
@@ -229,6 +238,8 @@ class _Sheet:
     """A figure of two columns of equal panels, a colour bar at their right, and perhaps histograms below."""
 
     def __init__(self, view: Box, rows: int, title: str | None, histograms: bool = False) -> None:
+        from matplotlib.figure import Figure
+
         ratio = _aspect((view[2] - view[0], view[3] - view[1]))
         width = float(np.clip(5.0 / ratio, 3.2, 6.2))
         self.panel = (width, float(np.clip(width * ratio, 2.0, 6.5)))
@@ -241,7 +252,7 @@ class _Sheet:
             self.bottom + sum(heights) + self.gap_y * (len(heights) - 1) + self.top,
         )
         self.heights, self.rows = heights, rows
-        self.figure = _figure_class()(figsize=self.size, dpi=_DPI, facecolor="white")
+        self.figure = Figure(figsize=self.size, dpi=_DPI, facecolor="white")
         if title:
             self.figure.text(0.5, 1 - 0.35 / self.size[1], title, ha="center", va="center", fontsize=13, weight="bold")
 
@@ -281,15 +292,6 @@ class _Sheet:
     def _add(self, left: float, bottom: float, width: float, height: float) -> Any:
         across, up = self.size
         return self.figure.add_axes((left / across, bottom / up, width / across, height / up))
-
-
-def _figure_class() -> Any:
-    try:
-        import matplotlib.backends.backend_agg  # noqa: F401
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingDependencyError("pictures need matplotlib: pip install 'torchmesh-untangle[plot]'") from None
-    return Figure
 
 
 def _ratio_histogram(ax: Any, before: Quality, after: Quality) -> None:

@@ -29,7 +29,7 @@ from .formats import load
 from .io import read, write
 from .mesh import MeshBatch
 from .pipeline import ImproveOptions, Report, improve
-from .plotting import Box, before_after, check_picture_path, replacing, short, with_close_up
+from .plotting import Box, before_after, check_target, replacing, require_matplotlib, short, with_close_up
 from .quality import quality
 from .smoothing import SmoothOptions
 from .warping import femwarp
@@ -123,12 +123,13 @@ def reproduce(out: Path, plots: bool, console: Console) -> list[dict[str, Any]]:
 
     Raises MeshIOError if `out` cannot be written to, MissingDependencyError for plots without matplotlib.
     """
+    if plots:
+        require_matplotlib()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise MeshIOError(f"{out}: cannot be made a directory: {error.strerror}") from None
-    if plots:
-        check_picture_path(out / "figure-04.png")
+    check_target(out / "reproduction.json")
     records = []
     console.print(NOTE, soft_wrap=True, highlight=False)
     for experiment in EXPERIMENTS:

@@ -21,12 +21,14 @@ class SmoothOptions:
     """How `smooth` minimises the sum of q^p, q the inverse mean ratio (Kim 2017, equation 4).
 
     power             p; 2 in the paper, higher cares more for the worst triangle
+    ceiling           a q that triangles should stay below: (q / ceiling)^8 is added; None: not
     max_iterations    L-BFGS steps tried at most
     energy_tolerance  a mesh is done when five steps together lower its energy by less than this part
     gradient_tolerance  or when the root mean square of its scaled gradient is below this
     """
 
     power: int = 2
+    ceiling: float | None = None
     max_iterations: int = 300
     energy_tolerance: float = 1e-5
     gradient_tolerance: float = 1e-6
@@ -34,6 +36,8 @@ class SmoothOptions:
     def __post_init__(self) -> None:
         if self.power < 1:
             raise ValueError(f"SmoothOptions.power must be at least 1, not {self.power}")
+        if self.ceiling is not None and not self.ceiling > 1:
+            raise ValueError(f"SmoothOptions.ceiling must be above 1, the ideal, not {self.ceiling}")
         if self.max_iterations < 0:
             raise ValueError(f"SmoothOptions.max_iterations must not be negative, but is {self.max_iterations}")
         for name in ("energy_tolerance", "gradient_tolerance"):
@@ -81,7 +85,7 @@ def smooth(
         may_move &= free
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     objective = MeshObjective(
-        InverseMeanRatio(options.power),
+        InverseMeanRatio(options.power, options.ceiling),
         equilateral(),
         packing.rows,
         packing.anchored,
