@@ -64,12 +64,12 @@ class ImproveOptions:
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
         """Kim 2017 as printed: one flip pass, untangle-beta, repeat until valid, smooth once.
 
-        beta  0.01 in the mesh's own unit of area in the paper; None: 0.1 of the mean absolute area
+        beta  0.01 in the mesh's own unit of area in the paper; None: 0.03 of the mean absolute area
         topology="keep" gives the paper's ablation, steps 2 and 3 only.
         """
         settings: dict[str, Any] = {
             "method": "paper",
-            "untangle": UntangleOptions(method="beta", beta=0.1, absolute_beta=beta, max_iterations=1000),
+            "untangle": UntangleOptions(method="beta", beta=0.03, absolute_beta=beta, max_iterations=1000),
             "untangle_rounds": 50,
             "smooth": SmoothOptions(),
         }
@@ -223,7 +223,8 @@ class _Job:
 
         Kim 2017 names no limit of its iterations.
         """
-        return replace(self.options.untangle, max_iterations=min(self.options.untangle.max_iterations, 20 * 3**turn))
+        options = self.options.untangle
+        return replace(options, max_iterations=min(options.max_iterations, 20 * 3**turn))
 
     def diagnose(self) -> None:
         """Tell the meshes that no method can help, before any work on them."""
