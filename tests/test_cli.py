@@ -486,6 +486,13 @@ def test_bad_input_is_one_clear_line_and_no_file(call, folder, arguments, text):
     assert names(folder) == before
 
 
+@pytest.mark.parametrize("case", [case for case in BAD if "output" in case or "picture" in case or "report" in case])
+def test_places_to_write_to_are_checked_before_the_work(call, monkeypatch, case):
+    monkeypatch.setattr("torchmesh.io.read", lambda *_: pytest.fail("the work began"))
+    arguments, text = BAD[case]
+    assert is_one_clear_line(call(*arguments), text)
+
+
 @pytest.mark.parametrize("case", ["missing file", "not a number", "unknown output extension", "unknown method"])
 def test_bad_input_as_a_process(folder, case):
     arguments, text = BAD[case]

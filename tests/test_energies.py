@@ -17,13 +17,14 @@ ENERGIES = {
     "imr^1": InverseMeanRatio(1),
     "imr^3": InverseMeanRatio(3),
     "imr^8": InverseMeanRatio(8),
+    "imr, ceiling": InverseMeanRatio(2, ceiling=1.5),
     "untangle-beta": UntangleBeta(0.3),
     "regularised": Regularised(0.5),
     "regularised, small eps": Regularised(1e-3),
     "regularised, no area": Regularised(0.1, theta=0.0),
     "lifted content": TotalLiftedContent(0.01),
 }
-UPRIGHT_ONLY = {"imr", "imr^1", "imr^3", "imr^8"}
+UPRIGHT_ONLY = {name for name in ENERGIES if name.startswith("imr")}
 
 
 def jacobians(generator, count=200, upright=False):
@@ -42,7 +43,8 @@ def independent_energy(name, points, triangles, target_sides):
     norm2, det = j.square().sum((1, 2)), torch.linalg.det(j)
     energy = ENERGIES[name]
     if name in UPRIGHT_ONLY:
-        return ((norm2 / (2 * det)) ** energy.power).sum()
+        q = norm2 / (2 * det)
+        return (q**energy.power + (0 if energy.ceiling is None else (q / energy.ceiling) ** 8)).sum()
     if name == "untangle-beta":
         area = det / 2
         return (((area - energy.beta).abs() - (area - energy.beta)) / 2).square().sum()

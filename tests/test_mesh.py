@@ -222,14 +222,6 @@ def test_edge_with_three_triangles():
     assert "[0, 1]" in message or "[1, 0]" in message
 
 
-def test_the_same_triangle_twice():
-    refused("triangles row", triangles=[[0, 1, 2], [0, 1, 2]])
-
-
-def test_a_closed_surface_has_no_boundary_to_hold_it():
-    refused("boundary", SQUARE, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("width", [2, 3])
 def test_coordinates_that_are_not_finite(bad, width):

@@ -1,6 +1,7 @@
 """torchmesh: untangle and improve planar triangle meshes, one or a hundred thousand at once."""
 
 from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
+from .diagnosis import Problem, ProblemKind, diagnose
 from .errors import (
     ConvergenceError,
     InvalidMeshError,
@@ -9,6 +10,7 @@ from .errors import (
     MeshWarning,
     MissingDependencyError,
 )
+from .io import read, write
 from .mesh import MeshBatch, join
 from .pipeline import ImproveOptions, Progress, Report, Step, improve
 from .quality import Quality, minimum_angle, quality
@@ -18,6 +20,11 @@ from .untangling import UntangleOptions, untangle
 from .warping import femwarp, relax
 
 __all__ = [
+    "diagnose",
+    "Problem",
+    "ProblemKind",
+    "read",
+    "write",
     "ConvergenceError",
     "FlipInfo",
     "FlipOptions",

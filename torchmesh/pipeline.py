@@ -2,10 +2,9 @@
 
       tangled meshes                                     valid meshes
    +-- relax: neighbours' means, triangles kept      +-> flips that lower the smoother's energy <-+
-   |-- flip and untangle-beta, in turn               |        |                                   |
-   |-- regularised, triangles kept                   |   smooth (inverse mean ratio) -------------+
-   |-- flip and regularised, in turn                 |        | no flip is left, or quality settles
-   +-- re-triangulate pockets            ------------+        +-> polish the worst -> certify
+   |-- flip and untangle-beta, in turn               |   smooth (inverse mean ratio) -------------+
+   |-- re-triangulate pockets                        |        | no flip is left, or quality settles
+   +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> certify
 
 Every mesh goes down its own road; the meshes on one stretch of road travel as one batch.
 """
@@ -48,7 +47,7 @@ class ImproveOptions:
     topology: Literal["keep", "flip"] = "flip"
     untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions("beta", beta=0.3, max_iterations=30))
     smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
-    untangle_rounds: int = 10
+    untangle_rounds: int = 3
     smooth_rounds: int = 15
 
     def __post_init__(self) -> None:
@@ -243,20 +242,17 @@ class _Job:
         self._try("relax", self.given, lambda part: (relax(part), None))
         relaxed = self.batch
         if may_flip:
-            start = self.quality.inverted
-            best, since = start, torch.zeros_like(start)
+            best, since = self.quality.inverted, torch.zeros_like(self.quality.inverted)
             for _ in range(self.options.untangle_rounds):
                 going = self.tangled & (since < 2)
                 self._flip("flip", going, FlipOptions())
                 self._untangle("untangle-beta", going & self.tangled, self.options.untangle)
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
-            self._try("pockets", self.batch, _by_pockets, 10 * self.quality.inverted <= start)
+            self._try("pockets", self.batch, _by_pockets)
         regularised = UntangleOptions("regularised")
         for origin in (self.given, relaxed):
             self._try("regularised", origin, lambda part: untangle(part, regularised))
-        if may_flip:
-            self._try("pockets", self.batch, _by_pockets)
         self.status[self.tangled] = Status.STALLED
 
     def refine(self) -> None:
@@ -304,11 +300,9 @@ class _Job:
                 part, info = smooth(part, options, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
-    def _try(
-        self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple], among: Tensor | None = None
-    ) -> None:
+    def _try(self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple]) -> None:
         """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now."""
-        at = self.tangled if among is None else self.tangled & among
+        at = self.tangled
         if not bool(at.any()):
             return
         with self._stage(stage, at) as done:
