@@ -1,0 +1,49 @@
+"""The README's code blocks run, its table is what `torchmesh reproduce` measures."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from torchmesh.reproduction import EXPERIMENTS, readme_rows, run
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"<!-- test: files -->\n```(\w+)\n(.*?)```", README, re.DOTALL)
+
+
+@pytest.mark.parametrize(("language", "code"), BLOCKS, ids=[language for language, _ in BLOCKS])
+def test_code_block_runs(language, code, tmp_path):
+    shutil.copy(ROOT / "torchmesh" / "data" / "bar.vtk", tmp_path / "undeformed.vtk")
+    if language == "python":
+        subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=120)
+        assert (tmp_path / "better.vtu").exists()
+    else:
+        # The last line measures a tangled file too, and says so by its exit status.
+        for line, expected in zip(code.strip().splitlines(), (0, 0, 1), strict=True):
+            command = line.split("#")[0].split()
+            done = subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, timeout=120, check=False)
+            assert done.returncode == expected, line
+        assert (tmp_path / "better.png").exists()
+
+
+def test_both_languages_are_shown():
+    assert [language for language, _ in BLOCKS] == ["sh", "python"]
+
+
+def test_table_is_what_reproduce_measures():
+    rows = readme_rows([(experiment, run(experiment)[2]) for experiment in EXPERIMENTS])
+    shown = README.split("## Measured")[1]
+    for row in rows:
+        assert row in shown
+
+
+def test_every_command_and_name_exists():
+    import torchmesh
+
+    for names in re.findall(r"^\| `([^|]*)` \|", README, re.MULTILINE):
+        for name in re.findall(r"\b[A-Za-z_]\w*(?=\(|`|$|\.)", names):
+            assert hasattr(torchmesh, name) or hasattr(torchmesh.MeshBatch, name), name
