@@ -270,23 +270,38 @@ def _eligible(
     And those it wants flipped whose new edge is there already: they wait until it goes.
     pinched  (V,) bool, the vertices where several fans of triangles meet
     """
-    g = twin[queue]
-    u, w = vertex[queue], vertex[g]
-    s, r = vertex[previous_in_triangle(queue)], vertex[previous_in_triangle(g)]
+    rows, ranks = [], []
+    for start in range(0, len(queue), _CHUNK):
+        part = queue[start : start + _CHUNK]
+        wanted, rank = _ask(x, y, vertex, twin, part, rule)
+        rows.append(part[wanted])
+        ranks.append(rank[wanted])
+    h, rank = torch.cat(rows or [queue]), torch.cat(ranks or [x[:0]])
+    g = twin[h]
+    s, r = vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
+    # Walking one fan tells all edges of a vertex that has only one.
+    from_r = pinched[s]
+    begin = previous_in_triangle(torch.where(from_r, g, h))
+    exists = edge_exists(vertex, twin, begin, torch.where(from_r, s, r)) | (pinched[s] & pinched[r])
+    return h[~exists], rank[~exists], h[exists]
+
+
+# Edges at a time: what one chunk computes stays in the cache.
+_CHUNK = 32768
+
+
+def _ask(x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, h: Tensor, rule: Rule) -> tuple[Tensor, Tensor]:
+    """What the rule says of the half-edges h; never to flip an edge whose two triangles share two edges."""
+    g = twin[h]
+    u, w = vertex[h], vertex[g]
+    s, r = vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
     gather = torch.index_select
     quads = Quads(
         gather(x, 0, u), gather(y, 0, u), gather(x, 0, w), gather(y, 0, w),
         gather(x, 0, s), gather(y, 0, s), gather(x, 0, r), gather(y, 0, r),
     )  # fmt: skip
     wanted, rank = rule(quads)
-    rows = (wanted & (s != r)).nonzero().squeeze(1)
-    s, r = s[rows], r[rows]
-    # Walking one fan tells all edges of a vertex that has only one.
-    from_r = pinched[s]
-    start = previous_in_triangle(torch.where(from_r, g[rows], queue[rows]))
-    exists = edge_exists(vertex, twin, start, torch.where(from_r, s, r)) | (pinched[s] & pinched[r])
-    free = rows[~exists]
-    return queue[free], rank[free], queue[rows[exists]]
+    return wanted & (s != r), rank
 
 
 def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:
