@@ -1,9 +1,9 @@
 """Small named meshes, shared by the tests.
 
-    grid        structured grid of the unit square         jittered    the same, interior vertices thrown about
-    disc        rings round a hub                          ring        an annulus, one hole
-    l_shape     two regions, the interface constrained     delaunay    scipy's triangulation of random points
-    equilateral a patch of equilateral triangles           moved_hole  a hole dragged through its mesh by FEMWARP
+grid        structured grid of the unit square         jittered    the same, interior vertices thrown about
+disc        rings round a hub                          ring        an annulus, one hole
+l_shape     two regions, the interface constrained     delaunay    scipy's triangulation of random points
+equilateral a patch of equilateral triangles           moved_hole  a hole dragged through its mesh by FEMWARP
 """
 
 from collections.abc import Callable

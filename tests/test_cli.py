@@ -186,6 +186,8 @@ def test_improve_can_write_over_its_input(call, folder):
 
 def test_quiet_says_nothing(call):
     assert call("improve", "tangled.vtu", "out.vtu", "--quiet") == Outcome(0, "", "")
+    with cli._progress(quiet=True) as show:
+        assert show is None
 
 
 def test_a_warning_is_one_line_on_standard_error(call, folder):
@@ -199,6 +201,7 @@ def test_a_warning_is_one_line_on_standard_error(call, folder):
     assert all(line.startswith("warning: odd.vtu: ") for line in lines)
     assert any("clockwise" in line for line in lines)
     assert any("belong to no" in line for line in lines)
+    assert call("quality", "odd.vtu", "odd.vtu").err == done.err, "each is said once"
 
 
 @pytest.mark.parametrize("failing", ["torchmesh.io.write", "torchmesh.plotting.before_after"])
@@ -417,11 +420,25 @@ def test_holes_are_numbered_from_left_to_right():
     points, triangles = meshes.grid_arrays(9, 3)
     cell = np.floor(points[triangles].mean(1) * [9, 3]).astype(int)
     holes = (cell == [1, 1]).all(1) | (cell == [4, 1]).all(1) | (cell == [7, 1]).all(1)
-    loops = cli._loops(MeshBatch.from_arrays(points, triangles[~holes]))
-    assert list(loops) == ["outer:1", "hole:1", "hole:2", "hole:3"]
-    assert [float(points[loop.numpy(), 0].mean()) for loop in loops.values()] == pytest.approx(
-        [0.5, 1.5 / 9, 4.5 / 9, 7.5 / 9]
-    )
+    for order in (slice(None), slice(None, None, -1)):
+        loops = cli._loops(MeshBatch.from_arrays(points, triangles[~holes][order]))
+        assert list(loops) == ["outer:1", "hole:1", "hole:2", "hole:3"]
+        middle = [float(points[loop.numpy(), 0].mean()) for loop in loops.values()]
+        assert middle == pytest.approx([0.5, 1.5 / 9, 4.5 / 9, 7.5 / 9])
+
+
+def test_warp_by_a_point_field_in_a_plane_of_space(call, folder):
+    points, triangles = plate()
+    wall = np.pad(points, ((0, 0), (1, 0)), constant_values=7.0)
+    hole, rim = parts()
+    fields = {"along": hole[:, None] * [0.0, 0.1, 0.05], "out": hole[:, None] * [0.1, 0.0, 0.05]}
+    meshio.Mesh(wall, [("triangle", triangles)], point_data=fields).write(folder / "wall.vtu")
+    assert call("warp", "wall.vtu", "out.vtu", "--displacement", "along").status == 0
+    by = meshio.read(folder / "out.vtu").points - wall
+    assert by[hole] == pytest.approx(np.tile([0.0, 0.1, 0.05], (16, 1)), abs=1e-12)
+    assert by[rim] == pytest.approx(0)
+    done = call("warp", "wall.vtu", "out.vtu", "--displacement", "out")
+    assert is_one_clear_line(done, "it leaves the plane")
 
 
 # --- bad input and usage -----------------------------------------------------------------------------
@@ -465,6 +482,7 @@ BAD = {
     "one number": ([*WARP, "--move", "hole:1:1"], "'1' is not 2 numbers"),
     "infinitely far": ([*WARP, "--move", "hole:1:inf,0"], "'inf,0' is not 2 numbers"),
     "empty box": ([*WARP, "--move", "5,5,6,6:1,0"], "no boundary vertex"),
+    "box inside the mesh": ([*WARP, "--move", "0.05,0.05,0.15,0.15:1,0"], "no boundary vertex"),
     "no angle": ([*WARP, "--rotate", "hole:1"], "expected hole:N:DEG"),
     "angle a word": ([*WARP, "--rotate", "hole:1:left"], "'left' is not a number"),
     "no such field": ([*WARP, "--displacement", "w"], "it has 'displacement', 'u'"),
@@ -493,7 +511,7 @@ def test_places_to_write_to_are_checked_before_the_work(call, monkeypatch, case)
     assert is_one_clear_line(call(*arguments), text)
 
 
-@pytest.mark.parametrize("case", ["missing file", "not a number", "unknown output extension", "unknown method"])
+@pytest.mark.parametrize("case", ["not a number", "unknown method"])
 def test_bad_input_as_a_process(folder, case):
     arguments, text = BAD[case]
     before = names(folder)

@@ -129,7 +129,9 @@ def test_triangles_that_touch_in_a_vertex_are_not_neighbours():
 def test_twins_do_not_depend_on_the_order_of_triangles_or_corners(rng):
     triangles = meshes.ring().triangles
     order = torch.from_numpy(rng.permutation(len(triangles)))
-    turned = torch.stack([row.roll(int(k)) for row, k in zip(triangles[order], rng.integers(0, 3, len(order)), strict=True)])
+    turned = torch.stack(
+        [row.roll(int(k)) for row, k in zip(triangles[order], rng.integers(0, 3, len(order)), strict=True)]
+    )
 
     def pairs(faces):
         twin, tail, head = con.twins(faces), con.tails(faces).tolist(), con.heads(faces).tolist()

@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 import math
 
 import meshes
@@ -132,7 +133,7 @@ def test_rows_may_be_int32_and_in_any_order(generator):
     assert torch.equal(straight[1], shuffled[1][place])
 
 
-# --- the energies themselves ----------------------------------------------------------------------------------------
+# --- the energies themselves ---
 
 
 def one_triangle(*xy):
@@ -185,7 +186,9 @@ def test_inverse_mean_ratio_knows_neither_place_nor_turn_nor_size(y, x, turn, si
     cos, sin = size * math.cos(turn), size * math.sin(turn)
     plain = one_triangle(0, 0, 1, 0, x, y)
     placed = one_triangle(dx, dy, dx + cos, dy + sin, dx + cos * x - sin * y, dy + sin * x + cos * y)
-    values = [InverseMeanRatio(1).value(*energies.invariants(t, energies.equilateral())).item() for t in (plain, placed)]
+    values = [
+        InverseMeanRatio(1).value(*energies.invariants(t, energies.equilateral())).item() for t in (plain, placed)
+    ]
     # Rounded coordinates of size (1 + 3 size) against heights of at least 0.03 size.
     assert values[1] == pytest.approx(values[0], rel=1e-13 * (1 + 1 / size))
 
@@ -241,7 +244,7 @@ def test_regularised_is_finite_for_inverted_triangles_and_grows_as_eps_falls():
     stretch, det = torch.tensor([3.0, 3.0]), torch.tensor([0.0, -1.0])
     values = [Regularised(eps).value(stretch.double(), det.double()) for eps in (1.0, 0.1, 0.01, 1e-8)]
     assert all(bool(v.isfinite().all()) for v in values)
-    assert all(bool((after > before).all()) for before, after in zip(values, values[1:], strict=False))
+    assert all(bool((after > before).all()) for before, after in itertools.pairwise(values))
 
 
 def test_lifted_content_tends_to_the_absolute_area(generator):

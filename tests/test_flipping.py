@@ -31,7 +31,10 @@ RULES = {
     "kim": FlipOptions(rule="kim"),
     "paper": FlipOptions.paper(),
 }
-ALL = {**{f"scrambled {n}": (lambda n=n: meshes.scrambled(meshes.VALID[n](), 1)) for n in meshes.VALID}, **meshes.TANGLED}
+ALL = {
+    **{f"scrambled {n}": (lambda n=n: meshes.scrambled(meshes.VALID[n](), 1)) for n in meshes.VALID},
+    **meshes.TANGLED,
+}
 
 # Tangled a little up to beyond recognition.
 SIZES, SEEDS = st.sampled_from([0.1, 0.3, 0.6, 1.0, 2.0]), st.integers(0, 10_000)
@@ -67,7 +70,7 @@ def assert_same_domain(before, after, info):
     assert {frozenset(e) for e in before.constrained_edges.tolist()} <= set(edge_counts(after.triangles))
 
 
-# --- every rule, every mesh -----------------------------------------------------------------------------------------
+# --- every rule, every mesh ---
 
 
 @pytest.mark.parametrize("rule", list(RULES))
@@ -104,7 +107,7 @@ def test_never_more_inverted_triangles_than_before(size, seed, rule):
     assert inverted(after) <= inverted(before)
 
 
-# --- the safe rule --------------------------------------------------------------------------------------------------
+# --- the safe rule ---
 
 
 @given(SIZES, SEEDS)
@@ -204,15 +207,13 @@ def test_an_edge_that_exists_is_not_made_again():
 
 def test_an_edge_that_exists_in_another_fan_of_the_same_vertex_is_not_made_again():
     # The triangle 3 4 2 hangs on the vertices 2 and 3 only; flipping 0-1 would give the edge 2-3 a third triangle.
-    mesh = MeshBatch.from_arrays(
-        [[-3, 0], [3, 0], [0, 1], [0, -1], [0.5, 0]], [[0, 1, 2], [1, 0, 3], [3, 4, 2]]
-    )
+    mesh = MeshBatch.from_arrays([[-3, 0], [3, 0], [0, 1], [0, -1], [0.5, 0]], [[0, 1, 2], [1, 0, 3], [3, 4, 2]])
     for rule in RULES:
         flipped, info = flip_to_delaunay(mesh, RULES[rule])
         assert_same_domain(mesh, flipped, info)
 
 
-# --- one pass of Kim 2017 -------------------------------------------------------------------------------------------
+# --- one pass of Kim 2017 ---
 
 
 @given(SIZES, SEEDS)
@@ -265,7 +266,7 @@ def test_a_round_flips_no_two_edges_of_one_triangle(rounds):
     assert int(changed.sum()) == 2 * int(info.flips) > 0
 
 
-# --- other rules and arguments --------------------------------------------------------------------------------------
+# --- other rules and arguments ---
 
 
 @given(st.sampled_from(["grid", "disc", "ring", "delaunay", "l_shape"]), st.integers(0, 1000))

@@ -22,7 +22,7 @@ FLOORS = [
     # 2
     ["mesh"],
     # 3
-    ["delaunay", "quality", "pockets", "diagnosis", "domains"],
+    ["delaunay", "quality", "pockets", "diagnosis"],
     ["warping", "smoothing"],
     ["untangling"],
     # 4
@@ -31,6 +31,7 @@ FLOORS = [
     ["formats"],
     ["file_content"],
     ["pipeline", "plotting", "io"],
+    ["domains"],
     ["reproduction"],
     # 5
     ["cli"],

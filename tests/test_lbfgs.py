@@ -1,5 +1,6 @@
 """The batched recursion against the dense formula, and the promises of `minimise`."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,9 @@ def rosenbrock(n):
     start = torch.full((n,), -1.0, dtype=torch.float64)
     start[::2] = 1.2
     return Function(
-        lambda x: (100 * (x[1:] - x[:-1] ** 2) ** 2 + (1 - x[:-1]) ** 2).sum(), start, torch.ones(n, dtype=torch.float64)
+        lambda x: (100 * (x[1:] - x[:-1] ** 2) ** 2 + (1 - x[:-1]) ** 2).sum(),
+        start,
+        torch.ones(n, dtype=torch.float64),
     )
 
 
@@ -77,7 +80,9 @@ class Problems:
         return energy, self.lay(slopes), done
 
     def select(self, keep):
-        part = Problems([f for f, k in zip(self.functions, keep.tolist(), strict=True) if k], self.each_scale, self.done)
+        part = Problems(
+            [f for f, k in zip(self.functions, keep.tolist(), strict=True) if k], self.each_scale, self.done
+        )
         part.asked = self.asked
         return part
 
@@ -106,7 +111,7 @@ def dense_inverse_hessian(steps, changes):
     return h
 
 
-# --- the direction --------------------------------------------------------------------------------------------------
+# --- the direction ---
 
 
 @pytest.mark.parametrize("history", [1, 2, 3, 6])
@@ -121,7 +126,7 @@ def test_each_direction_is_that_of_the_dense_bfgs_matrix(history, scale):
     minimise(objective, objective.start, options)
     points = [objective.lift(x)[0] for x in objective.asked]
     values = [problem.value(x) for x in points]
-    falling = [bool(after < before) for before, after in zip(values, values[1:], strict=False)]
+    falling = [bool(after < before) for before, after in itertools.pairwise(values)]
     iterates = falling.index(False) + 1 if False in falling else len(points)
     assert iterates > history + 3
     gradients = [torch.autograd.functional.jacobian(problem.value, x) for x in points]
@@ -159,7 +164,7 @@ def test_in_one_dimension_the_second_direction_is_newtons():
     assert objective.asked[2][0].item() == pytest.approx(2, rel=1e-14)
 
 
-# --- where it ends ------------------------------------------------------------------------------------------------
+# --- where it ends ---
 
 
 def test_converges_to_the_minimum_of_every_problem():
@@ -180,7 +185,9 @@ def test_takes_about_as_many_steps_as_a_textbook_implementation():
 
     for f in (quadratic(100, 100, 5), quadratic(30, 1000, 6), rosenbrock(10)):
         objective = Problems([f])
-        result = minimise(objective, objective.start, LbfgsOptions(gradient_tolerance=1e-6, energy_tolerance=0, history=6))
+        result = minimise(
+            objective, objective.start, LbfgsOptions(gradient_tolerance=1e-6, energy_tolerance=0, history=6)
+        )
 
         def value_and_slope(x, f=f):
             t = torch.from_numpy(x.copy()).requires_grad_()
@@ -199,7 +206,7 @@ def test_energies_never_rise():
     seen = []
     minimise(objective, objective.start, LbfgsOptions(max_iterations=200), lambda k, e: seen.append((k, e.clone())))
     assert [k for k, _ in seen] == list(range(1, len(seen) + 1))
-    for (_, before), (_, after) in zip(seen, seen[1:], strict=False):
+    for (_, before), (_, after) in itertools.pairwise(seen):
         if len(before) == len(after):
             assert bool((after <= before).all())
 
@@ -309,7 +316,7 @@ def test_a_problem_without_unknowns_is_converged():
     assert result.energy[[0, 2]].tolist() == [7, 7]
 
 
-# --- steps ----------------------------------------------------------------------------------------------------------
+# --- steps ---
 
 
 @pytest.mark.parametrize("largest", [0.01, 0.1])
@@ -357,7 +364,7 @@ def test_padding_stays_zero_and_the_start_is_not_changed():
     assert torch.equal(result.unknowns[objective.scale == 0], torch.zeros(int((objective.scale == 0).sum())).double())
 
 
-# --- joined equals alone --------------------------------------------------------------------------------------------
+# --- joined equals alone ---
 
 
 @pytest.mark.parametrize("options", [LbfgsOptions(), EXACT, LbfgsOptions(history=2, patience=2, energy_tolerance=1e-2)])

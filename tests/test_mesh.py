@@ -27,7 +27,7 @@ def three() -> list[MeshBatch]:
     return [meshes.l_shape(), meshes.grid(2, 3), meshes.dragged_interface()]
 
 
-# --- what is accepted -------------------------------------------------------------------------------------------
+# --- what is accepted ---
 
 
 @pytest.mark.parametrize("name", list(meshes.VALID))
@@ -101,7 +101,7 @@ def test_a_tensor_that_requires_grad_is_detached():
     assert not MeshBatch.from_arrays(torch.tensor(SQUARE, requires_grad=True), HALVES).points.requires_grad
 
 
-# --- fixed vertices and constrained edges -------------------------------------------------------------------------
+# --- fixed vertices and constrained edges ---
 
 
 def test_the_boundary_is_fixed_and_nothing_else():
@@ -135,7 +135,7 @@ def test_unused_vertices_are_kept_fixed_and_counted():
     assert mesh.fixed[4:].tolist() == [True, True]
 
 
-# --- winding ------------------------------------------------------------------------------------------------------
+# --- winding ---
 
 
 @pytest.mark.parametrize("name", [*meshes.VALID, *meshes.TANGLED])
@@ -189,7 +189,7 @@ def test_the_warning_points_at_the_caller():
     assert {w.filename for w in [*caught, *counted]} == {__file__}
 
 
-# --- what is refused ----------------------------------------------------------------------------------------------
+# --- what is refused ---
 
 
 def refused(match, points=SQUARE, triangles=HALVES, **more):
@@ -279,7 +279,7 @@ def test_the_first_bad_row_is_the_one_named():
     refused("triangles row 1 ", triangles=[[0, 1, 2], [0, 2, 9], [0, 1, 9]])
 
 
-# --- planes in space ----------------------------------------------------------------------------------------------
+# --- planes in space ---
 
 
 def tilted(points, rng):
@@ -340,7 +340,7 @@ def test_single_precision_planes_are_planes(rng):
     assert mesh.points.dtype == torch.float32
 
 
-# --- batches ------------------------------------------------------------------------------------------------------
+# --- batches ---
 
 
 def test_join_and_split_undo_each_other():
@@ -434,7 +434,7 @@ def test_repr_says_how_much_of_what():
     assert repr(join([meshes.grid(2, 2), meshes.grid(1, 1)])).startswith("MeshBatch(2 meshes, 13 points, 10 triangles")
 
 
-# --- the named meshes are what their names say ----------------------------------------------------------------------
+# --- the named meshes are what their names say ---
 
 
 @pytest.mark.parametrize("name", list(meshes.VALID))

@@ -123,7 +123,9 @@ def test_the_objective_is_the_sum_over_each_mesh_and_its_gradient():
     assert not bool(done.any())
     unknowns = packing.unknowns.clone().requires_grad_()
     t = torch.cat([unknowns, packing.anchored])[packing.rows.long()]
-    stretch, det = energies.invariants(corners(t.T.reshape(-1, 2), torch.arange(3 * t.shape[1]).reshape(-1, 3)), objective.target)
+    stretch, det = energies.invariants(
+        corners(t.T.reshape(-1, 2), torch.arange(3 * t.shape[1]).reshape(-1, 3)), objective.target
+    )
     value = segment_sum(objective.energy.value(stretch, det), packing.triangle_offsets)
     expected = torch.autograd.grad(value.sum(), unknowns)[0]
     # Sums of some hundred terms in two orders.

@@ -112,7 +112,7 @@ def assert_report_is_true(before: MeshBatch, after: MeshBatch, report) -> None:
     assert report.messages[0]
 
 
-# --- it works ---------------------------------------------------------------------------------------------------------
+# --- it works ---
 
 
 @pytest.mark.parametrize("way", list(WAYS))
@@ -171,7 +171,9 @@ def test_random_tangles(size, seed, way):
         lambda: meshes.disturbed(meshes.l_shape(3), 0.3 * size, seed),
         lambda: meshes.disturbed(meshes.delaunay(25, seed), 0.3 * size, seed),
     ][seed % 5]()
-    after, report = improve(before, WAYS[way])
+    # The paper's loop may go on for long where it fails in the end.
+    options = WAYS[way] if way == "default" else dataclasses.replace(WAYS[way], untangle_rounds=4)
+    after, report = improve(before, options)
     assert_same_domain(before, after)
     assert_report_is_true(before, after, report)
     if way == "default":
@@ -254,7 +256,7 @@ def test_an_absolute_beta_pushes_whatever_is_smaller():
     assert bool(moved[~mesh.fixed & far].all())
 
 
-# --- what cannot be done ------------------------------------------------------------------------------------------------
+# --- what cannot be done ---
 
 
 @pytest.mark.parametrize("way", list(WAYS))
@@ -314,15 +316,15 @@ def test_hopeless_neighbours_touch_no_one():
 def test_check_names_the_meshes_that_failed():
     batch = join([meshes.grid(), crossed(), meshes.disc(), crossed()])
     _, report = improve(batch)
-    with pytest.raises(ConvergenceError, match="2 of 4 meshes are not valid: mesh 1.*mesh 3") as error:
+    with pytest.raises(ConvergenceError, match=r"2 of 4 meshes are not valid: mesh 1.*mesh 3") as error:
         report.check()
     assert isinstance(error.value, MeshError)
     many = join([crossed()] * 12)
-    with pytest.raises(ConvergenceError, match="12 of 12 .* and 2 more"):
+    with pytest.raises(ConvergenceError, match=r"12 of 12 .* and 2 more"):
         improve(many)[1].check()
 
 
-# --- batches ------------------------------------------------------------------------------------------------------------
+# --- batches ---
 
 
 def assorted() -> list[MeshBatch]:
@@ -371,7 +373,7 @@ def test_a_batch_of_none():
     assert report.check() is report
 
 
-# --- the report, progress and options --------------------------------------------------------------------------------------
+# --- the report, progress and options ---
 
 
 def test_the_papers_rows_are_in_the_papers_order():
@@ -407,7 +409,7 @@ def test_the_report_is_plain_data_for_json():
 
 def test_progress_tells_every_stage_as_it_starts():
     seen: list[Progress] = []
-    plain, report = improve(meshes.moved_hole())
+    plain, _ = improve(meshes.moved_hole())
     watched, its = improve(meshes.moved_hole(), progress=seen.append)
     assert torch.equal(plain.points, watched.points)
     started = [p.stage for p in seen if p.iteration == 0]

@@ -30,12 +30,14 @@ def vermilion(image: np.ndarray) -> int:
     return int(((r > 0.7) & (r - g > 0.25) & (g > 0.36) & (b < 0.28)).sum())
 
 
-def drawn(mesh: MeshBatch, region=None) -> tuple[np.ndarray, object]:
+def drawn(mesh: MeshBatch, region=None) -> tuple[np.ndarray, object, object]:
+    """The pixels, what `plot_mesh` returned, and the axes."""
     figure = Figure(figsize=(4, 3), dpi=100)
     canvas = FigureCanvasAgg(figure)
-    fill = plot_mesh(figure.add_axes((0, 0, 1, 1)), mesh, quality(mesh), region)
+    ax = figure.add_axes((0, 0, 1, 1))
+    fill = plot_mesh(ax, mesh, quality(mesh), region)
     canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3] / 255, fill
+    return np.asarray(canvas.buffer_rgba())[..., :3] / 255, fill, ax
 
 
 def test_inverted_triangles_and_only_they_are_vermilion():
@@ -46,20 +48,25 @@ def test_inverted_triangles_and_only_they_are_vermilion():
 
 
 def test_an_inverted_triangle_too_small_to_see_has_a_mark():
-    mesh = meshes.grid(100, 75)
+    mesh = meshes.grid(160, 120)
     points = mesh.points.clone()
-    row = 40 * 76 + 40
+    row = 40 * 121 + 40
     # Thrown over its neighbours: within a cell of two or three pixels.
-    points[row] += torch.tensor([1.2 / 100, 1.4 / 75])
+    points[row] += torch.tensor([1.2 / 160, 1.4 / 120])
     tangled = mesh.with_points(points)
-    assert 0 < int(quality(tangled).inverted[0]) < 10
-    assert vermilion(drawn(tangled)[0]) >= 5
+    bad = ~quality(tangled).upright
+    assert 0 < int(bad.sum()) < 10
+    image, _, ax = drawn(tangled)
+    (marks,) = ax.lines
+    centre = tangled.points[tangled.triangles[bad]].mean(1)
+    assert marks.get_xydata() == pytest.approx(centre.numpy())
+    assert vermilion(image) >= 5
 
 
 def test_a_region_draws_only_its_triangles():
     mesh = meshes.grid(40, 40)
-    _, everything = drawn(mesh)
-    _, corner = drawn(mesh, (0.0, 0.0, 0.1, 0.1))
+    _, everything, _ = drawn(mesh)
+    _, corner, _ = drawn(mesh, (0.0, 0.0, 0.1, 0.1))
     assert len(everything.get_array()) == 3200
     # 4 x 4 cells of two triangles, and those that touch the rectangle's sides.
     assert 32 <= len(corner.get_array()) <= 50

@@ -161,7 +161,7 @@ def test_fixed_interior_vertices_stay_to_the_bit():
     assert not torch.equal(smooth(rough)[0].points[held], mesh.points[held])
 
 
-# --- covariance -------------------------------------------------------------------------------------------------------
+# --- covariance ---
 
 
 @pytest.mark.parametrize("exponent", [-300, -7, 1, 300])
@@ -243,7 +243,7 @@ def test_far_from_the_origin_nothing_is_lost():
     assert energy(smoothed) == pytest.approx(energy(smooth(mesh)[0]), rel=1e-6)
 
 
-# --- batches and options ------------------------------------------------------------------------------------------------
+# --- batches and options ---
 
 
 def test_joined_equals_alone_to_the_bit_and_tangled_neighbours_do_not_matter():

@@ -128,7 +128,7 @@ def test_free_restricts_what_moves(method):
     assert not bool((changed & ~(free & ~mesh.fixed)).any())
 
 
-# --- untangle-beta ------------------------------------------------------------------------------------------------------
+# --- untangle-beta ---
 
 
 def smallest_share(mesh):
@@ -181,7 +181,7 @@ def test_beta_leaves_alone_what_is_larger_already():
     assert changed <= near
 
 
-# --- the regularised functional -------------------------------------------------------------------------------------------
+# --- the regularised functional ---
 
 
 def test_local_size_of_equilateral_triangles_is_their_side():
@@ -212,7 +212,7 @@ def test_continuations_are_limited():
     assert info.status.tolist() == [Status.ITERATION_LIMIT]
 
 
-# --- both -----------------------------------------------------------------------------------------------------------------
+# --- both ---
 
 
 @pytest.mark.parametrize("method", list(METHODS))
@@ -245,7 +245,10 @@ def test_single_precision(method):
 @pytest.mark.parametrize("method", list(METHODS))
 def test_joined_equals_alone_to_the_bit(method):
     hopeless = meshes.grid(4, 4).with_points(-meshes.grid(4, 4).points.flip(1))
-    parts = [make() for make in (*MENDABLE.values(), *meshes.VALID.values())] + [hopeless, meshes.jittered(4, 4, 1.5, 9)]
+    parts = [make() for make in (*MENDABLE.values(), *meshes.VALID.values())] + [
+        hopeless,
+        meshes.jittered(4, 4, 1.5, 9),
+    ]
     batch, info = untangle(join(parts), METHODS[method])
     for b, (mesh, together) in enumerate(zip(parts, batch.split(), strict=True)):
         alone, its = untangle(mesh, METHODS[method])

@@ -109,9 +109,14 @@ def test_a_far_motion_tangles():
     assert inverted(meshes.moved_hole(0.1)) == 0
 
 
-@pytest.mark.parametrize("warp", [lambda m: femwarp(m, 1.5 * m.points + m.points.flip(1)), relax], ids=["femwarp", "relax"])
+@pytest.mark.parametrize(
+    "warp", [lambda m: femwarp(m, 1.5 * m.points + m.points.flip(1)), relax], ids=["femwarp", "relax"]
+)
 def test_joined_equals_alone(warp):
-    parts = [meshes.VALID[name]() for name in (*meshes.VALID, *meshes.VALID)] + [meshes.grid(12, 11), meshes.ring(30, 6)]
+    parts = [meshes.VALID[name]() for name in (*meshes.VALID, *meshes.VALID)] + [
+        meshes.grid(12, 11),
+        meshes.ring(30, 6),
+    ]
     for mesh, together in zip(parts, warp(join(parts)).split(), strict=True):
         assert torch.equal(warp(mesh).points, together.points)
 
@@ -127,7 +132,7 @@ def test_femwarp_refuses_places_that_are_not_finite(bad):
     mesh = meshes.grid(2, 2)
     target = mesh.points.clone()
     target[3, 1] = bad
-    with pytest.raises(InvalidMeshError, match="new_points row 3 .*finite"):
+    with pytest.raises(InvalidMeshError, match=r"new_points row 3 .*finite"):
         femwarp(mesh, target)
 
 
@@ -138,7 +143,7 @@ def test_femwarp_refuses_another_number_of_points():
             femwarp(mesh, other)
 
 
-# --- relax ----------------------------------------------------------------------------------------------------------
+# --- relax ---
 
 
 @pytest.mark.parametrize("name", ["grid", "disc", "equilateral", "ring", "delaunay"])
@@ -168,7 +173,7 @@ def test_relax_forgets_where_the_free_vertices_were():
     assert torch.equal(first.points, second.points)
 
 
-# --- harmonic extension ---------------------------------------------------------------------------------------------
+# --- harmonic extension ---
 
 
 def test_harmonic_extension_of_any_number_of_columns(rng):

@@ -239,7 +239,7 @@ class _Run:
         torch.sub(gradient, self.g, out=self.past[:, m + slot])
         self.x, self.g = x, gradient
         gg = self._sum((gradient * gradient).sum(1))
-        products = self._sum(torch.bmm(self.past, gradient[:, :, None]).squeeze(2))
+        products = self._sum(_batched(self.past, gradient[:, :, None]).squeeze(2))
         sg, yg = products[:, :m], products[:, m:]
         along = self.t * self.descent
         self.sy[:, :, slot] = sg - self.sg
@@ -258,7 +258,7 @@ class _Run:
             self.valid &= ~lost[:, None]
             self.descent = torch.where(lost, -gamma * gg, self.descent)
         weights = torch.cat([a, b], 1).index_select(0, self.owner)
-        self.d = torch.bmm(weights[:, None], self.past).squeeze(1)
+        self.d = _batched(weights[:, None], self.past).squeeze(1)
         self.d.addcmul_(self._to_blocks(gamma), gradient).neg_()
 
     def _recursion(self, order: list[int]) -> tuple[Tensor, Tensor, Tensor]:
@@ -303,3 +303,10 @@ class _Run:
 
     def _sum(self, per_block: Tensor) -> Tensor:
         return torch.segment_reduce(per_block, "sum", offsets=self.offsets, axis=0, initial=0.0)
+
+
+def _batched(left: Tensor, right: Tensor) -> Tensor:
+    """`torch.bmm` with the same bits for a matrix alone as among others: a batch of one goes another way in torch."""
+    if len(left) > 1:
+        return torch.bmm(left, right)
+    return torch.bmm(left.expand(2, -1, -1), right.expand(2, -1, -1))[:1]

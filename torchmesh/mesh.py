@@ -62,7 +62,7 @@ class MeshBatch:
         """
         xyz = _checked_points(points)
         faces = _checked_triangles(triangles, len(xyz)).to(xyz.device)
-        flat, frame = _to_plane(xyz)
+        flat, frame = _to_plane(xyz, faces)
         faces, twin = _oriented(flat, faces)
         count = len(flat)
         used = torch.zeros(count, dtype=torch.bool, device=flat.device)
@@ -222,10 +222,16 @@ def triangle_mesh(mesh: MeshBatch) -> Tensor:
 
 def _tensor(values: Any, name: str) -> Tensor:
     try:
-        tensor = values.detach() if isinstance(values, Tensor) else torch.from_numpy(np.array(values))
+        tensor = values.detach().clone() if isinstance(values, Tensor) else torch.from_numpy(_native(values))
     except (TypeError, ValueError) as error:
         raise InvalidMeshError(f"{name} is not a rectangular array of numbers: {error}") from None
-    return tensor.clone()
+    return tensor
+
+
+def _native(values: Any) -> np.ndarray:
+    """A copy in the byte order of this machine."""
+    array = np.array(values)
+    return array.astype(array.dtype.newbyteorder("="))
 
 
 def _first(rows: Tensor) -> int:
@@ -319,10 +325,11 @@ def _checked_constraints(constrained_edges: Any, faces: Tensor, twin: Tensor, ve
     return given[interior]
 
 
-def _to_plane(xyz: Tensor) -> tuple[Tensor, Tensor]:
+def _to_plane(xyz: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """(V, 2) coordinates in the plane of the points, and that plane (3, 3): origin, x and y axis.
 
-    A plane of constant z keeps its x and y to the bit.
+    A plane of constant z keeps its x and y to the bit and is seen from above; any other is seen
+    from the side on which most of the area runs counter-clockwise.
     """
     frame = torch.eye(3, dtype=torch.float64, device=xyz.device).roll(1, 0)
     frame[0] = 0
@@ -333,12 +340,14 @@ def _to_plane(xyz: Tensor) -> tuple[Tensor, Tensor]:
         return xyz[:, :2].contiguous(), frame
     wide = xyz.to(torch.float64)
     low, high = wide.amin(0), wide.amax(0)
-    origin = low + (high - low) / 2
     extent = float((high - low).max())
+    origin = low + (wide - low).mean(0)
     centred = (wide - origin) / extent
     axes = torch.linalg.svd(centred.T @ centred)[2]
-    normal = axes[2] * (1.0 if float(axes[2][axes[2].abs().argmax()]) > 0 else -1.0)
-    x_axis = axes[0]
+    x_axis, normal = axes[0], axes[2]
+    a, b, c = centred[faces].unbind(1)
+    if float(torch.linalg.cross(b - a, c - a).sum(0) @ normal) < 0:
+        normal = -normal
     y_axis = torch.linalg.cross(normal, x_axis)
     height = (centred @ normal).abs()
     if float(height.max()) > _PLANARITY:

@@ -65,8 +65,11 @@ class Packing:
         """(V, 2) a copy of `points` with the free vertices where `unknowns` has them."""
         moved = points.clone()
         unit, centre = self.unit[self.point_mesh], self.centre[self.point_mesh]
-        moved[self.vertices, 0] = torch.addcmul(centre[:, 0], unknowns[self.x_rows], unit).to(points)
-        moved[self.vertices, 1] = torch.addcmul(centre[:, 1], unknowns[self.y_rows], unit).to(points)
+        for axis, rows in enumerate((self.x_rows, self.y_rows)):
+            there = torch.addcmul(centre[:, axis], unknowns[rows], unit).to(points)
+            # What did not move keeps its bits, which centring and back may not.
+            still = unknowns[rows] == self.unknowns[rows]
+            moved[self.vertices, axis] = torch.where(still, points[self.vertices, axis], there)
         return moved
 
 

@@ -1,5 +1,7 @@
 """The P1 stiffness matrix of the Laplacian, and harmonic extension with it."""
 
+import itertools
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -24,38 +26,45 @@ def cotangent_weights(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def harmonic_extension(
-    triangles: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor, values: Tensor
+    triangles: Tensor,
+    weights: tuple[Tensor, Tensor, Tensor],
+    known: Tensor,
+    values: Tensor,
+    point_offsets: Tensor,
 ) -> Tensor:
     """Solve K_II x_I = -K_IB x_B for the unknown rows; the known ones keep their values.
 
-    triangles  (T, 3) int64
-    weights    three (T,): the weight of the edges opposite the corners a, b, c
-    known      (V,) bool
-    values     (V, k) the known rows count
+    triangles      (T, 3) int64
+    weights        three (T,): the weight of the edges opposite the corners a, b, c
+    known          (V,) bool
+    values         (V, k) the known rows count
+    point_offsets  (B+1,) the rows of each mesh, which is solved for itself
 
-    One sparse direct factorisation of all meshes at once (scipy, SuperLU with a minimum-degree
-    ordering): the matrix of a batch is block diagonal.  Raises RuntimeError where it is singular.
+    A sparse direct factorisation of each mesh (scipy: SuperLU, minimum-degree ordering).  One of
+    the whole batch would order its columns by all of it, and so round each mesh differently.
+    Raises RuntimeError where a mesh's matrix is singular.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import splu
 
     a, b, c = triangles.unbind(1)
     i, j = torch.cat([b, c, a]), torch.cat([c, a, b])
-    w = torch.cat(weights).to(torch.float64)
-    row, column, weight = (v.cpu().numpy() for v in (i, j, w))
+    row, column, weight = (v.cpu().numpy() for v in (i, j, torch.cat(weights).to(torch.float64)))
     count = len(known)
     coupling = coo_matrix((weight, (row, column)), shape=(count, count)).tocsr()
     coupling = coupling + coupling.T
-    unknown = np.flatnonzero(~known.cpu().numpy())
-    if not len(unknown):
-        return values.clone()
-    fixed = np.flatnonzero(known.cpu().numpy())
-    rows = coupling[unknown]
-    inner = -rows[:, unknown]
-    inner.setdiag(np.asarray(rows.sum(1)).ravel())
-    right = rows[:, fixed] @ values.to(torch.float64).cpu().numpy()[fixed]
-    solution = splu(inner.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                    options={"SymmetricMode": True}).solve(right)  # fmt: skip
-    out = values.clone()
-    out[torch.from_numpy(unknown).to(values.device)] = torch.from_numpy(solution).to(values)
-    return out
+    is_known, given = known.cpu().numpy(), values.to(torch.float64).cpu().numpy()
+    solution = given.copy()
+    offsets = point_offsets.tolist()
+    for start, end in itertools.pairwise(offsets):
+        unknown, fixed = start + np.flatnonzero(~is_known[start:end]), start + np.flatnonzero(is_known[start:end])
+        if not len(unknown):
+            continue
+        rows = coupling[unknown]
+        inner = -rows[:, unknown]
+        inner.setdiag(np.asarray(rows.sum(1)).ravel())
+        factors = splu(
+            inner.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        solution[unknown] = factors.solve(rows[:, fixed] @ given[fixed])
+    return torch.where(known[:, None], values, torch.from_numpy(solution).to(values))

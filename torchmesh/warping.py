@@ -37,7 +37,7 @@ def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
         )
     weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
     target = torch.where(batch.fixed[:, None], target, batch.points)
-    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target))
+    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target, batch.point_offsets))
 
 
 def relax(batch: MeshBatch) -> MeshBatch:
@@ -47,4 +47,5 @@ def relax(batch: MeshBatch) -> MeshBatch:
     Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.
     """
     one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
-    return batch.with_points(harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points))
+    places = harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points, batch.point_offsets)
+    return batch.with_points(places)
