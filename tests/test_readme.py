@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmesh.reproduction import EXPERIMENTS, readme_rows, run
+from torchmesh.reproduction import EXPERIMENTS, markdown, run
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -35,7 +35,7 @@ def test_both_languages_are_shown():
 
 
 def test_table_is_what_reproduce_measures():
-    rows = readme_rows([(experiment, run(experiment)[2]) for experiment in EXPERIMENTS])
+    rows = markdown([(experiment, run(experiment)[2]) for experiment in EXPERIMENTS])
     shown = README.split("## Measured")[1]
     for row in rows:
         assert row in shown

@@ -180,9 +180,10 @@ def test_harmonic_extension_of_any_number_of_columns(rng):
     mesh = meshes.grid()
     one = torch.ones(len(mesh.triangles), dtype=torch.float64)
     values = torch.from_numpy(rng.normal(size=(len(mesh.points), 3)))
-    wide = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, values)
+    wide = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, values, mesh.point_offsets)
     for column in range(3):
-        narrow = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, values[:, column : column + 1])
+        single = values[:, column : column + 1]
+        narrow = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, single, mesh.point_offsets)
         torch.testing.assert_close(wide[:, column : column + 1], narrow, rtol=0, atol=1e-14)
     # No maximum inside (the weights are positive).
     assert float(wide[~mesh.fixed].max()) < float(values[mesh.fixed].max())
@@ -196,5 +197,5 @@ def test_harmonic_extension_agrees_with_scipys_solver():
     values = mesh.points[:, :1] ** 2
     expected = spsolve(k[~fixed][:, ~fixed].tocsc(), -k[~fixed][:, fixed] @ values.numpy()[fixed])
     weights = cotangent_weights(corners(mesh.points, mesh.triangles))
-    got = harmonic_extension(mesh.triangles, weights, mesh.fixed, values)
+    got = harmonic_extension(mesh.triangles, weights, mesh.fixed, values, mesh.point_offsets)
     np.testing.assert_allclose(got[~mesh.fixed].numpy().ravel(), expected.ravel(), rtol=0, atol=1e-12)

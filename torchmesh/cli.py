@@ -145,7 +145,7 @@ def improve(
         float | None,
         typer.Option(
             help="Area below which untangle-beta pushes a triangle, in the file's unit of area; needs --method paper. "
-            "The paper has 0.01 in its own unit. Default: 0.01 of the mesh's mean absolute area.",
+            "The paper has 0.01 in its own unit. Default: 0.03 of the mesh's mean absolute area.",
             show_default=False,
         ),
     ] = None,

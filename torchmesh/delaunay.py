@@ -9,6 +9,8 @@ from torch import Tensor
 from . import connectivity
 from .flipping import flip_rounds, kim_rule, safe_rule, shape_rule
 from .mesh import MeshBatch
+from .packing import centre_and_unit
+from .segments import spread
 
 _RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
 
@@ -69,8 +71,10 @@ def flip_to_delaunay(
     """
     options = options or FlipOptions()
     twin = connectivity.twins(batch.triangles) if twin is None else twin
+    # A power of two changes no sign and keeps every product of the rules in range.
+    unit = centre_and_unit(batch.points, batch.point_offsets)[1]
     triangles, twin, log = flip_rounds(
-        batch.points,
+        batch.points.to(torch.float64) / spread(unit, batch.point_offsets)[:, None],
         batch.triangles,
         twin,
         constrained_half_edges(batch, twin),

@@ -63,6 +63,9 @@ class ImproveOptions:
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
         """Kim 2017 as printed: one flip pass, untangle-beta, repeat until valid, smooth once.
 
+        The paper names no limit of its iterations: here step 2 takes 20 at most in the first round and
+        three times as many in each further one, so that edges flip early.
+
         beta  0.01 in the mesh's own unit of area in the paper; None: 0.03 of the mean absolute area
         topology="keep" gives the paper's ablation, steps 2 and 3 only.
         """
@@ -218,10 +221,7 @@ class _Job:
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
     def _turn(self, turn: int) -> UntangleOptions:
-        """Step 2 of an outer iteration: short at first, so that edges flip early, then ever longer.
-
-        Kim 2017 names no limit of its iterations.
-        """
+        """Step 2 of an outer iteration: short at first, so that edges flip early, then ever longer."""
         options = self.options.untangle
         return replace(options, max_iterations=min(options.max_iterations, 20 * 3**turn))
 
