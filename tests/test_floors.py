@@ -85,7 +85,7 @@ def test_the_reader_of_imports_sees_them():
     assert "pipeline" in imports_of("__init__")
 
 
-@pytest.mark.parametrize("heavy", ["scipy", "meshio", "h5py", "shapely", "matplotlib", "typer", "rich", "gmsh"])
+@pytest.mark.parametrize("heavy", ["scipy", "h5py", "matplotlib", "typer", "gmsh"])
 def test_importing_the_package_does_not_import(heavy, loaded):
     assert heavy not in loaded
 
