@@ -92,10 +92,7 @@ def moving_circle(
     return Domain(
         "circle",
         _rectangle(0.0, 0.0, length, height, size),
-        tuple(
-            (centre_x + radius * math.cos(a), height / 2 + radius * math.sin(a), side)
-            for a in angles
-        ),
+        tuple((centre_x + radius * math.cos(a), height / 2 + radius * math.sin(a), side) for a in angles),
         displacement,
         relaxation,
         whole_hole_sides=True,
@@ -159,9 +156,7 @@ def moving_gate(
     )
 
 
-def _rectangle(
-    left: float, bottom: float, right: float, top: float, size: float
-) -> tuple[Corner, ...]:
+def _rectangle(left: float, bottom: float, right: float, top: float, size: float) -> tuple[Corner, ...]:
     corners = ((left, bottom), (right, bottom), (right, top), (left, top))
     return tuple((x, y, size) for x, y in corners)
 
@@ -218,9 +213,7 @@ def _laplace_step(points: Array, triangles: Array, weight: float) -> Array:
     # every edge of an interior vertex runs once in each direction, so no row counts one twice
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     count = len(points)
-    neighbours = scipy.sparse.coo_matrix(
-        (np.ones(len(start)), (start, end)), (count, count)
-    ).tocsr()
+    neighbours = scipy.sparse.coo_matrix((np.ones(len(start)), (start, end)), (count, count)).tocsr()
     mean = neighbours @ points / neighbours.sum(axis=1)
     interior = ~_boundary(triangles, count)[:, None]
     return np.where(interior, (1 - weight) * points + weight * mean, points)
@@ -310,9 +303,7 @@ def _table_line(label: str, row: Row) -> str:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Directory to write the three files to.")] = Path(
-        "torchmesh/data"
-    ),
+    out: Annotated[Path, typer.Option(help="Directory to write the three files to.")] = Path("torchmesh/data"),
 ) -> None:
     """Write circle.vtk, bar.vtk and gate.vtk and print them beside the paper's numbers."""
     try:
