@@ -1,5 +1,6 @@
 """How good a mesh is: areas, shapes, angles, per triangle and per mesh."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -7,8 +8,8 @@ from torch import Tensor
 
 from .mesh import MeshBatch
 from .predicates import orientation
-from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
-from .triangle import angles, corners, inverse_mean_ratio, signed_area
+from .segments import counts_from_offsets, segment_count, segment_max, segment_sum
+from .triangle import corners, cotangents, inverse_mean_ratio, signed_area
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,8 @@ def upright(batch: MeshBatch) -> Tensor:
 
 def minimum_angle(batch: MeshBatch) -> Tensor:
     """(B,) smallest unsigned angle of each mesh, in degrees."""
-    at = angles(corners(batch.points.to(torch.float64), batch.triangles))
-    smallest = torch.minimum(torch.minimum(at[0], at[1]), at[2])
-    return torch.rad2deg(segment_min(smallest, batch.triangle_offsets))
+    largest = torch.stack(cotangents(corners(batch.points.to(torch.float64), batch.triangles))).amax(0)
+    per_mesh = segment_max(largest, batch.triangle_offsets)
+    # One by one: the bits of a vectorised arctangent depend on where in a vector a number stands.
+    degrees = [math.degrees(math.atan2(1.0, cotangent)) for cotangent in per_mesh.tolist()]
+    return torch.tensor(degrees, dtype=torch.float64, device=per_mesh.device)

@@ -71,3 +71,13 @@ def angles(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
         angle_at(t.bx, t.by, t.cx, t.cy, t.ax, t.ay),
         angle_at(t.cx, t.cy, t.ax, t.ay, t.bx, t.by),
     )
+
+
+def cotangents(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
+    """(T,) cotangents of the unsigned angles at the corners a, b, c; infinite at 0 and at pi."""
+    cross = (2 * signed_area(t)).abs()
+    ab, bc, ca = squared_edge_lengths(t)
+    dots = 0.5 * (ab + ca - bc), 0.5 * (ab + bc - ca), 0.5 * (bc + ca - ab)
+    flat = cross == 0
+    safe = torch.where(flat, 1.0, cross)
+    return tuple(torch.where(flat, torch.copysign(torch.full_like(d, torch.inf), d), d / safe) for d in dots)  # type: ignore[return-value]
