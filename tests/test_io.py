@@ -985,3 +985,13 @@ def test_nothing_is_printed(tmp_path, capfd, mesh):
         write(path, mesh)
         read(path)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_region_tag_in_a_column_of_its_own_is_a_region_tag(tmp_path):
+    """Gmsh's legacy VTK files have their CellEntityIds as (cells, 1)."""
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]], float)
+    cells = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
+    tags = np.array([[1], [1], [2], [2]], np.int32)
+    path = tmp_path / "tags.vtu"
+    meshio.Mesh(np.c_[points, np.zeros(6)], [("triangle", cells)], cell_data={"CellEntityIds": [tags]}).write(path)
+    assert {frozenset(edge) for edge in read(path).constrained_edges.tolist()} == {frozenset((1, 2))}

@@ -67,7 +67,7 @@ class Content:
 
 
 def _native(mesh: meshio.Mesh) -> meshio.Mesh:
-    """The mesh with arrays in the machine's byte order, and three-cornered polygons called triangles."""
+    """The mesh with arrays in the machine's byte order, fields of one component flat, three-cornered polygons called triangles."""
 
     def native(array: np.ndarray) -> np.ndarray:
         return np.array(array, array.dtype.newbyteorder("="))
@@ -78,8 +78,13 @@ def _native(mesh: meshio.Mesh) -> meshio.Mesh:
         three = block.type == "polygon" and block.data.shape[1] == 3
         if block.data.ndim == 2 and block.data.dtype.kind in "iu":
             mesh.cells[i] = meshio.CellBlock("triangle" if three else block.type, native(block.data).astype(np.int64))
-    mesh.point_data = {name: native(values) for name, values in mesh.point_data.items()}
-    mesh.cell_data = {name: [native(v) for v in values] for name, values in mesh.cell_data.items()}
+
+    def column(array: np.ndarray) -> np.ndarray:
+        """Fields of one component have one dimension, however the file says it."""
+        return native(array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array)
+
+    mesh.point_data = {name: column(values) for name, values in mesh.point_data.items()}
+    mesh.cell_data = {name: [column(v) for v in values] for name, values in mesh.cell_data.items()}
     mesh.cell_sets.pop("gmsh:bounding_entities", None)
     for name, members in mesh.cell_sets.items():
         members = [*members, *[None] * (len(mesh.cells) - len(members))]
