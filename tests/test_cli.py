@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from exact import double_area
 
-from torchmesh import MeshBatch, cli, quality
+from torchmesh import MeshBatch, cli, console, motions, quality
 from torchmesh.errors import MeshIOError
 from torchmesh.io import read, write
 
@@ -186,7 +186,7 @@ def test_improve_can_write_over_its_input(call, folder):
 
 def test_quiet_says_nothing(call):
     assert call("improve", "tangled.vtu", "out.vtu", "--quiet") == Outcome(0, "", "")
-    with cli._progress(quiet=True) as show:
+    with console.progress(quiet=True) as show:
         assert show is None
 
 
@@ -421,7 +421,7 @@ def test_holes_are_numbered_from_left_to_right():
     cell = np.floor(points[triangles].mean(1) * [9, 3]).astype(int)
     holes = (cell == [1, 1]).all(1) | (cell == [4, 1]).all(1) | (cell == [7, 1]).all(1)
     for order in (slice(None), slice(None, None, -1)):
-        loops = cli._loops(MeshBatch.from_arrays(points, triangles[~holes][order]))
+        loops = motions.loops(MeshBatch.from_arrays(points, triangles[~holes][order]))
         assert list(loops) == ["outer:1", "hole:1", "hole:2", "hole:3"]
         middle = [float(points[loop.numpy(), 0].mean()) for loop in loops.values()]
         assert middle == pytest.approx([0.5, 1.5 / 9, 4.5 / 9, 7.5 / 9])

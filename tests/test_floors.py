@@ -31,7 +31,7 @@ FLOORS = [
     ["formats"],
     ["file_content"],
     ["pipeline", "plotting", "io"],
-    ["domains"],
+    ["domains", "console", "motions"],
     ["reproduction"],
     # 5
     ["cli"],

@@ -67,7 +67,7 @@ class Content:
 
 
 def _native(mesh: meshio.Mesh) -> meshio.Mesh:
-    """The mesh with arrays in the machine's byte order, fields of one component flat, three-cornered polygons called triangles."""
+    """The mesh in the machine's byte order, one-component fields flat, three-cornered polygons called triangles."""
 
     def native(array: np.ndarray) -> np.ndarray:
         return np.array(array, array.dtype.newbyteorder("="))

@@ -10,7 +10,6 @@ The paper shows its domains as pictures only.  The dimensions, and so the meshes
 sizes of effects, not digits.
 """
 
-import json
 import math
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -22,6 +21,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from .console import json_text
 from .delaunay import FlipOptions, flip_to_delaunay
 from .domains import moving
 from .errors import MeshError, MeshIOError
@@ -153,7 +153,7 @@ def reproduce(out: Path, plots: bool, console: Console) -> list[dict[str, Any]]:
                 _draw(out, experiment, meshes)
     document = {"source": SOURCE, "note": NOTE, "torchmesh": version("torchmesh-untangle"), "rows": records}
     with replacing(out / "reproduction.json") as path:
-        path.write_text(json.dumps(_finite(document), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_text(json_text(document), encoding="utf-8")
     console.print(f"\ntables, meshes{' and figures' if plots else ''} are in {out}", soft_wrap=True, highlight=False)
     return records
 
@@ -291,11 +291,3 @@ def _cells(row: Row | None) -> list[str]:
 def _working(console: Console, text: str) -> Any:
     """A spinner while at work, on terminals only."""
     return console.status(text, spinner="line")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
