@@ -160,3 +160,29 @@ def test_select_is_the_objective_of_the_meshes_kept_to_the_bit(keep):
     assert torch.equal(part.scale, objective.scale[of_blocks])
     again = part.select(torch.ones(int(keep.sum()), dtype=torch.bool))
     assert torch.equal(again(packing.unknowns[of_blocks])[1], some_gradient)
+
+
+def test_a_large_batch_gives_every_mesh_the_bits_it_has_alone():
+    # More triangles than any chunk that stays in a cache; the meshes stand at all places relative to its borders.
+    mesh = meshes.jittered(9, 7, 0.4, 3)
+    count = 400
+    alone, many = packed(mesh), packed(join([mesh] * count))
+    assert len(many.triangles) > 40_000
+
+    def values(packing, copies):
+        objective = MeshObjective(
+            Regularised(0.7),
+            energies.equilateral(0.1),
+            packing.rows,
+            packing.anchored,
+            packing.block_offsets,
+            packing.triangle_offsets,
+            packing.spread_vertices(torch.ones(copies * len(mesh.points))),
+        )
+        energy, gradient, _ = objective(packing.unknowns)
+        return energy, gradient.reshape(copies, -1)
+
+    energy, gradient = values(alone, 1)
+    energies_, gradients = values(many, count)
+    assert bool((energies_ == energy).all())
+    assert bool((gradients == gradient).all())

@@ -1,0 +1,71 @@
+"""What `make bench` times: kernels, L-BFGS iterations, flips, `improve` alone and in a batch; nothing is asserted."""
+
+import numpy as np
+import pytest
+import torch
+
+import torchmesh as tm
+from torchmesh import connectivity
+from torchmesh.domains import moving
+from torchmesh.energies import InverseMeanRatio, Regularised, UntangleBeta, energy_and_forces, equilateral
+from torchmesh.lbfgs import LbfgsOptions, minimise
+from torchmesh.packing import MeshObjective, pack
+from torchmesh.smoothing import vertex_size
+
+
+def grid(cells: int, jitter: float = 0.15, seed: int = 0) -> tm.MeshBatch:
+    """A square of 2 cells^2 triangles with its interior vertices off their places."""
+    at = np.stack(np.meshgrid(np.arange(cells + 1), np.arange(cells + 1), indexing="ij"), -1).reshape(-1, 2) / cells
+    inside = ((at > 0) & (at < 1)).all(1)
+    at = at + inside[:, None] * np.random.default_rng(seed).uniform(-jitter, jitter, at.shape) / cells
+    corner = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
+    up = np.stack([corner, corner + cells + 1, corner + cells + 2], 1)
+    down = np.stack([corner, corner + cells + 2, corner + 1], 1)
+    return tm.MeshBatch.from_arrays(at, np.concatenate([up, down]))
+
+
+def objective_of(batch: tm.MeshBatch) -> tuple[MeshObjective, torch.Tensor]:
+    packing = pack(batch.points, batch.triangles, ~batch.fixed, batch.point_offsets, batch.triangle_offsets)
+    scale = packing.spread_vertices(vertex_size(batch))
+    objective = MeshObjective(
+        InverseMeanRatio(), equilateral(), packing.rows, packing.anchored, packing.block_offsets,
+        packing.triangle_offsets, scale,
+    )  # fmt: skip
+    return objective, packing.unknowns
+
+
+@pytest.mark.parametrize(
+    "energy", [InverseMeanRatio(), UntangleBeta(0.1), Regularised(0.1)], ids=lambda e: type(e).__name__
+)
+@pytest.mark.parametrize("cells", [33, 440])
+def test_kernel(benchmark, cells, energy):
+    objective, unknowns = objective_of(grid(cells))
+    coordinates = torch.cat([unknowns, objective.anchored])
+    benchmark(energy_and_forces, coordinates, objective.rows, energy, equilateral())
+
+
+@pytest.mark.parametrize(("cells", "meshes"), [(33, 1), (33, 60), (440, 1)])
+def test_ten_lbfgs_iterations(benchmark, cells, meshes):
+    objective, unknowns = objective_of(tm.join([grid(cells, seed=seed) for seed in range(meshes)]))
+    options = LbfgsOptions(max_iterations=10, energy_tolerance=0, gradient_tolerance=0)
+    benchmark.pedantic(minimise, (objective, unknowns, options), rounds=5, warmup_rounds=1)
+
+
+@pytest.mark.parametrize("cells", [33, 220])
+def test_flip_to_delaunay(benchmark, cells):
+    mesh = grid(cells, jitter=0.3)
+    twin = connectivity.twins(mesh.triangles)
+    benchmark.pedantic(tm.flip_to_delaunay, (mesh,), {"twin": twin}, rounds=5, warmup_rounds=1)
+
+
+@pytest.mark.parametrize("name", ["circle", "bar", "gate"])
+def test_improve_one(benchmark, name):
+    _, tangled = moving(name)
+    benchmark.pedantic(tm.improve, (tangled,), rounds=3, warmup_rounds=1)
+
+
+@pytest.mark.parametrize("meshes", [3, 30])
+def test_improve_batch(benchmark, meshes):
+    tangled = [moving(name)[1] for name in ("circle", "bar", "gate")]
+    batch = tm.join(tangled * (meshes // 3))
+    benchmark.pedantic(tm.improve, (batch,), rounds=2, warmup_rounds=0)
