@@ -189,10 +189,28 @@ def test_kim_flips_only_where_the_sum_of_the_opposite_angles_exceeds_pi():
 
 
 def test_a_flip_that_would_invert_is_not_made():
-    # The quadrilateral is not convex at the vertex 0, although the angles at 2 and 3 are large.
-    mesh = MeshBatch.from_arrays([[0, 0], [4, 0], [-1, 0.4], [-1, -1]], [[0, 1, 2], [1, 0, 3]])
-    for rule in RULES:
-        assert int(flip_to_delaunay(mesh, RULES[rule])[1].flips) == 0, rule
+    # The quadrilateral is not convex at the vertex 0, although the angles at 2 and 3 are large; or at the vertex 1.
+    for points in ([[0, 0], [4, 0], [-1, 0.4], [-1, -1]], [[0, 0], [4, 0], [5, 0.4], [5, -1]]):
+        mesh = MeshBatch.from_arrays(points, [[0, 1, 2], [1, 0, 3]])
+        for rule in RULES:
+            assert int(flip_to_delaunay(mesh, RULES[rule])[1].flips) == 0, rule
+
+
+def test_kim_makes_two_upright_triangles_or_none():
+    # An inverted pair with large angles, of which a flip would make one upright triangle.
+    for points in ([[0, 0], [2, 0], [-1, -0.2], [1, -0.6]], [[0, 0], [2, 0], [3, -0.2], [1, -0.6]]):
+        mesh = MeshBatch.from_arrays(points, [[0, 1, 2], [1, 0, 3]])
+        assert inverted(mesh) == 1
+        assert int(flip_to_delaunay(mesh, FlipOptions.paper())[1].flips) == 0
+
+
+def test_safe_flips_buy_no_area_with_another_inverted_triangle():
+    # Double areas 14 and -19 would become -1 and -4.
+    points = torch.tensor([[2.0, 3.0], [-3.0, -3.0], [1.0, -1.0], [1.0, -2.0]], dtype=torch.float64)
+    upright = MeshBatch.from_arrays([[0, 0], [1, 0], [0.5, 1], [0.5, -1]], [[0, 1, 2], [1, 0, 3]])
+    mesh = upright.with_points(points)
+    assert double_areas(mesh) == [14, -19]
+    assert int(flip_to_delaunay(mesh)[1].flips) == 0
 
 
 def test_an_edge_that_exists_is_not_made_again():
@@ -203,6 +221,16 @@ def test_an_edge_that_exists_is_not_made_again():
             flipped, info = flip_to_delaunay(mesh, RULES[rule])
             assert int(info.flips) == 0, (rule, x, y)
             assert torch.equal(flipped.triangles, mesh.triangles)
+
+
+@pytest.mark.parametrize("triangles", [[[0, 1, 2], [1, 0, 2]], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]])
+def test_closed_surfaces_are_left_alone(triangles):
+    # Two triangles back to back, and a tetrahedron trodden flat.
+    mesh = MeshBatch.from_arrays([[0, 0], [3, 0], [1, 2], [1, 1]][: max(max(t) for t in triangles) + 1], triangles)
+    for rule in RULES:
+        flipped, info = flip_to_delaunay(mesh, RULES[rule])
+        assert int(info.flips) == 0
+        assert torch.equal(flipped.triangles, mesh.triangles)
 
 
 def test_an_edge_that_exists_in_another_fan_of_the_same_vertex_is_not_made_again():

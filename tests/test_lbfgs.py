@@ -306,6 +306,17 @@ def test_a_problem_that_turns_infinite_on_the_way_is_held_back_from_there():
     torch.testing.assert_close(result.unknowns[:5], torch.full((5,), root, dtype=torch.float64), rtol=1e-3, atol=0)
 
 
+def test_a_trial_of_energy_minus_infinity_is_not_taken():
+    cliff = Function(
+        lambda x: torch.where(x > 0, (x + 1).square(), -torch.inf).sum(), torch.full((5,), 3.0, dtype=torch.float64)
+    )
+    objective = Problems([cliff])
+    result = minimise(objective, objective.start, LbfgsOptions(largest_step=1e9))
+    assert any(bool((x[:5] <= 0).any()) for x in objective.asked)
+    assert bool((result.unknowns[:5] > 0).all())
+    assert bool(result.energy.isfinite().all())
+
+
 def test_a_problem_without_unknowns_is_converged():
     empty = Function(lambda x: x.sum() + 7.0, torch.zeros(0, dtype=torch.float64))
     good = quadratic(5, 10, 0)

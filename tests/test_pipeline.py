@@ -286,6 +286,19 @@ def test_an_impossible_boundary_is_told_before_any_work(name):
     assert torch.equal(after.points, before.points)
 
 
+@pytest.mark.parametrize("way", ["default", "keep"])
+@pytest.mark.parametrize("distance", [7.0, 9.0])
+def test_what_is_kept_is_the_best_that_was_found(way, distance):
+    # Far moves, most of which cannot be mended with the triangles kept.
+    before = meshes.moved_hole(distance)
+    after, report = improve(before, dataclasses.replace(WAYS[way], untangle_rounds=1))
+    assert inverted(after) <= inverted(before)
+    assert_report_is_true(before, after, report)
+    if way == "keep":
+        counts = [row.inverted for row in report.steps[0]]
+        assert counts == sorted(counts, reverse=True)
+
+
 @given(st.integers(0, 10_000))
 @settings(max_examples=15)
 def test_scrambled_boundaries_never_crash_nor_get_worse(seed):

@@ -60,12 +60,18 @@ def test_a_flat_triangle_counts_as_inverted_and_its_ratio_is_infinite():
 
 
 def test_signs_are_exact_where_areas_round_to_nothing():
-    # The third point is off the line by one last bit, up or down; plain arithmetic sees no area.
-    for lifted in (np.nextafter(0.3, 1), np.nextafter(0.3, 0)):
-        points = [[0.1, 0.1], [0.2, 0.2], [0.3, lifted], [0.1, 0.3]]
-        mesh = MeshBatch.from_arrays(points, [[0, 1, 2], [0, 2, 3]])
-        assert quality(mesh).upright.tolist() == [a > 0 for a in double_areas(mesh)]
-    assert quality(mesh).upright.tolist() == [False, True]
+    # A point that moves by last bits about the line through two others (Kettner et al., Classroom examples of
+    # robustness problems in geometric computations, 2008); plain arithmetic gets half of the signs wrong.
+    start = MeshBatch.from_arrays([[0, 0], [12, 12], [0, 24]], [[0, 1, 2]])
+    bit, plain = 2.0**-53, 0
+    for i in range(8):
+        for j in range(8):
+            points = [[0.5 + i * bit, 0.5 + j * bit], [12, 12], [24, 24]]
+            mesh = start.with_points(torch.tensor(points, dtype=torch.float64))
+            exact = [a > 0 for a in double_areas(mesh)]
+            assert quality(mesh).upright.tolist() == upright(mesh).tolist() == exact
+            plain += (quality(mesh).area > 0).tolist() != exact
+    assert plain > 10
 
 
 def test_float32_is_measured_in_float64():

@@ -58,7 +58,8 @@ def test_untangles_a_moved_hole_with_the_triangles_kept():
 def test_a_valid_mesh_is_unmoved(name, method):
     mesh = meshes.VALID[name]()
     mesh = mesh.with_points(mesh.points / 3 + 0.1)
-    moved, info = untangle(mesh, METHODS[method])
+    # Even where untangle-beta would want more area for some of its triangles.
+    moved, info = untangle(mesh, dataclasses.replace(METHODS[method], beta=2.0))
     assert torch.equal(moved.points, mesh.points)
     assert info.status.tolist() == [Status.VALID]
     assert info.iterations.tolist() == [0]

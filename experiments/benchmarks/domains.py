@@ -71,6 +71,33 @@ def case(kind: str, triangles: int, seed: int, cache: Path) -> Case:
     return Case(f"{kind} {seed}", upright.with_points(torch.from_numpy(data["tangled"])), data["points"])
 
 
+def noisy(kind: str, triangles: int, seed: int, cache: Path, part: float = 0.465) -> tm.MeshBatch:
+    """The undeformed variant, valid, with its free vertices thrown about by up to `part` of the local size.
+
+    With 0.465 about 6 of 100 edges are no longer Delaunay: 90,000 of a mesh of 1,000,000 triangles.
+    """
+    valid = case(kind, triangles, seed, cache)
+    faces, fixed = valid.mesh.triangles.numpy(), valid.mesh.fixed.numpy()
+    points = valid.valid.copy()
+    corner = faces.ravel()
+    size = np.bincount(corner, np.repeat(double_areas(points, faces), 3)) / np.bincount(corner)
+    rng = np.random.default_rng([seed, 5])
+    angle, radius = rng.uniform(0, 2 * np.pi, len(points)), part * np.sqrt(size * rng.uniform(0, 1, len(points)))
+    thrown = points + np.where(fixed, 0.0, radius)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    while True:
+        inverted = double_areas(thrown, faces) <= 0
+        if not inverted.any():
+            return valid.mesh.with_points(torch.from_numpy(thrown))
+        back = np.unique(faces[inverted])
+        thrown[back] = points[back]
+
+
+def double_areas(points: Array, triangles: Array) -> Array:
+    """(T,) twice the signed areas."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
 def variants(count: int, triangles: int, cache: Path, first_seed: int = 0) -> list[Case]:
     """`count` unlike cases, circle, bar and gate in turn."""
     return [case(KINDS[i % 3], triangles, first_seed + i // 3, cache) for i in range(count)]
@@ -181,7 +208,6 @@ def triangulate(domain: Shape, size: float) -> tuple[Array, Array]:
     row_of_tag[tags.astype(np.int64)] = np.arange(len(tags))
     points = coordinates.reshape(-1, 3)[row_of_tag[used.astype(np.int64)], :2]
     faces = faces.reshape(-1, 3).astype(np.int64)
-    a, b, c = points[faces].transpose(1, 0, 2)
-    clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+    clockwise = double_areas(points, faces) < 0
     faces[clockwise] = faces[clockwise, ::-1]
     return points, faces
