@@ -197,8 +197,10 @@ def test_a_flip_that_would_invert_is_not_made():
 
 
 def test_kim_makes_two_upright_triangles_or_none():
-    # An inverted pair with large angles, of which a flip would make one upright triangle.
-    for points in ([[0, 0], [2, 0], [-1, -0.2], [1, -0.6]], [[0, 0], [2, 0], [3, -0.2], [1, -0.6]]):
+    # One triangle is inverted, the angles sum to more than pi, and a flip would again leave one inverted: the first
+    # of the two new ones, or the second.
+    u, w, s, r = [1, 1.2], [0.1, -1.2], [1.6, 0.5], [0.8, -0.6]
+    for points in ([u, w, s, r], [w, u, r, s]):
         mesh = MeshBatch.from_arrays(points, [[0, 1, 2], [1, 0, 3]])
         assert inverted(mesh) == 1
         assert int(flip_to_delaunay(mesh, FlipOptions.paper())[1].flips) == 0

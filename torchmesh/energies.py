@@ -11,6 +11,7 @@ Each energy states phi in plain differentiable torch (`value`), and its slopes b
 """
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -181,20 +182,21 @@ def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
 
 
 def energy_and_forces(
-    coordinates: Tensor, rows: Tensor, energy: Energy, target: Target
+    coordinates: Tensor, rows: Tensor, energy: Energy, target: Target, borders: list[int] | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Energy of every triangle and the gradient of their sum, by hand-derived slopes.
 
     coordinates  (N,) all coordinates in one vector, in any order
     rows         (6, T) where the corner coordinates ax, ay, bx, by, cx, cy stand in it
+    borders      where chunks of triangles begin and end, from `chunk_borders`; None: one mesh's
 
     Returns phi (T,), the gradient (N,) and the smallest-det input det (T,).
     """
     gradient = torch.zeros_like(coordinates)
     phi = coordinates.new_empty(rows.shape[1])
     det = torch.empty_like(phi)
-    for start in range(0, rows.shape[1], _CHUNK):
-        here = slice(start, start + _CHUNK)
+    for start, end in itertools.pairwise(chunk_borders([0, rows.shape[1]]) if borders is None else borders):
+        here = slice(start, end)
         phi[here], det[here] = _add_forces(
             coordinates, rows[:, here], select_rows(energy, here), select_rows(target, here), gradient
         )
@@ -203,6 +205,21 @@ def energy_and_forces(
 
 # Triangles at a time: what one chunk computes stays in the cache.
 _CHUNK = 32768
+
+
+def chunk_borders(offsets: list[int]) -> list[int]:
+    """Where to cut the triangles of the meshes that `offsets` (B+1,) tells apart.
+
+    Forces on a vertex are summed chunk by chunk, so a mesh is cut, if at all, at the same of its
+    own triangles whatever else is in the batch: its sums keep their bits.
+    """
+    borders = [0]
+    for start, end in itertools.pairwise(offsets):
+        if end - borders[-1] > _CHUNK and start > borders[-1]:
+            borders.append(start)
+        while end - borders[-1] > _CHUNK:
+            borders.append(borders[-1] + _CHUNK)
+    return [*borders, offsets[-1]] if offsets[-1] > borders[-1] else borders
 
 
 def _add_forces(

@@ -4,12 +4,13 @@ unknowns [ mesh 0: x blocks | y blocks ][ mesh 1: x blocks | y blocks ] ...   th
 of the vertices that stay.  Only triangles with a free vertex are in it.
 """
 
+import functools
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from .energies import Energy, Target, energy_and_forces, select_rows
+from .energies import Energy, Target, chunk_borders, energy_and_forces, select_rows
 from .lbfgs import BLOCK
 from .segments import (
     counts_from_offsets,
@@ -143,13 +144,18 @@ class MeshObjective:
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         coordinates = torch.cat([unknowns, self.anchored])
-        phi, gradient, det = energy_and_forces(coordinates, self.rows, self.energy, self.target)
+        phi, gradient, det = energy_and_forces(coordinates, self.rows, self.energy, self.target, self.borders)
         energy = segment_sum(phi, self.triangle_offsets)
         if self.enough is None:
             done = torch.zeros_like(energy, dtype=torch.bool)
         else:
             done = segment_min(det, self.triangle_offsets) > self.enough
         return energy, gradient[: len(unknowns)], done
+
+    @functools.cached_property
+    def borders(self) -> list[int]:
+        """Where the kernel's chunks of triangles begin and end."""
+        return chunk_borders(self.triangle_offsets.tolist())
 
     def det(self, unknowns: Tensor) -> Tensor:
         """(T,) det J of the packed triangles."""

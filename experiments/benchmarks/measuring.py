@@ -102,3 +102,23 @@ def machine() -> str:
     except (OSError, StopIteration):
         pass
     return f"{model}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at {time.strftime('%Y-%m-%d %H:%M')}"
+
+
+# For `in_fresh_process`, with the path of a case: torch is loaded, torchmesh is not yet.
+FIRST_CALL = """
+import json, sys
+import numpy as np, torch
+torch.set_num_threads(1)
+from measuring import Stopwatch
+data = np.load(sys.argv[1])
+with Stopwatch() as load:
+    import torchmesh as tm
+with Stopwatch() as first:
+    mesh, report = tm.improve(tm.MeshBatch.from_arrays(data["tangled"], data["triangles"]))
+with Stopwatch() as second:
+    tm.improve(tm.MeshBatch.from_arrays(data["tangled"], data["triangles"]))
+q = report.quality
+print(json.dumps({name: vars(value) for name, value in
+    {"load": load.seconds, "first": first.seconds, "second": second.seconds}.items()}
+    | {"valid": bool(report.valid), "inverted": int(q.inverted), "mean": float(q.mean), "max": float(q.max)}))
+"""
