@@ -1,3 +1,5 @@
+import dataclasses
+
 import meshes
 import pytest
 import torch
@@ -138,7 +140,7 @@ def test_done_when_every_packed_triangle_is_large_enough():
     batch = join([meshes.grid(4, 4), meshes.jittered(cells=0.9)])
     packing = packed(batch)
     objective = objective_of(batch, packing)
-    done = MeshObjective(**{**vars(objective), "enough": 0.0})(packing.unknowns)[2]
+    done = dataclasses.replace(objective, enough=0.0)(packing.unknowns)[2]
     assert done.tolist() == [True, False]
     area = signed_area(corners(batch.points, batch.triangles))
     assert bool((area[:32] > 0).all())

@@ -44,7 +44,7 @@ def harmonic_extension(
     the whole batch would order its columns by all of it, and so round each mesh differently.
     Raises RuntimeError where a mesh's matrix is singular.
     """
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import coo_matrix, diags
     from scipy.sparse.linalg import splu
 
     a, b, c = triangles.unbind(1)
@@ -61,8 +61,7 @@ def harmonic_extension(
         if not len(unknown):
             continue
         rows = coupling[unknown]
-        inner = -rows[:, unknown]
-        inner.setdiag(np.asarray(rows.sum(1)).ravel())
+        inner = diags(np.asarray(rows.sum(1)).ravel()) - rows[:, unknown]
         factors = splu(
             inner.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
