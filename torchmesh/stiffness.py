@@ -44,7 +44,7 @@ def harmonic_extension(
     the whole batch would order its columns by all of it, and so round each mesh differently.
     Raises RuntimeError where a mesh's matrix is singular.
     """
-    from scipy.sparse import coo_matrix, diags
+    from scipy.sparse import coo_matrix, csc_matrix, diags
     from scipy.sparse.linalg import splu
 
     a, b, c = triangles.unbind(1)
@@ -53,17 +53,23 @@ def harmonic_extension(
     count = len(known)
     coupling = coo_matrix((weight, (row, column)), shape=(count, count)).tocsr()
     coupling = coupling + coupling.T
-    is_known, given = known.cpu().numpy(), values.to(torch.float64).cpu().numpy()
+    given = values.to(torch.float64).cpu().numpy()
+    unknown, fixed = (np.flatnonzero(mask.cpu().numpy()) for mask in (~known, known))
+    rows = coupling[unknown]
+    inner = (diags(np.asarray(rows.sum(1)).ravel()) - rows[:, unknown]).tocsc()
+    right = rows[:, fixed] @ given[fixed]
     solution = given.copy()
-    offsets = point_offsets.tolist()
-    for start, end in itertools.pairwise(offsets):
-        unknown, fixed = start + np.flatnonzero(~is_known[start:end]), start + np.flatnonzero(is_known[start:end])
-        if not len(unknown):
+    # Slicing a sparse matrix costs its width, mesh by mesh: the blocks are cut out of its arrays instead.
+    for first, last in itertools.pairwise(np.searchsorted(unknown, point_offsets.cpu().numpy()).tolist()):
+        if first == last:
             continue
-        rows = coupling[unknown]
-        inner = diags(np.asarray(rows.sum(1)).ravel()) - rows[:, unknown]
+        start, end = inner.indptr[first], inner.indptr[last]
+        block = inner.data[start:end], inner.indices[start:end] - first, inner.indptr[first : last + 1] - start
         factors = splu(
-            inner.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            csc_matrix(block, shape=(last - first, last - first)),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
         )
-        solution[unknown] = factors.solve(rows[:, fixed] @ given[fixed])
+        solution[unknown[first:last]] = factors.solve(right[first:last])
     return torch.where(known[:, None], values, torch.from_numpy(solution).to(values))
