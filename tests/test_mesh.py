@@ -450,3 +450,9 @@ def test_named_tangled_meshes_are_tangled_but_their_boundary_is_not(name):
     assert any(area < 0 for area in double_areas(mesh))
     assert total_area(mesh) > 0
     assert connectivity.euler_number(mesh.triangles, connectivity.twins(mesh.triangles)) in (0, 1)
+
+
+def test_a_mesh_whose_areas_would_underflow_is_refused():
+    points = np.array([[0, 0], [1, 0], [0, 1]]) * 1e-160
+    with pytest.raises(InvalidMeshError, match="underflow"):
+        MeshBatch.from_arrays(points, [[0, 1, 2]])

@@ -257,6 +257,9 @@ def _checked_points(points: Any) -> Tensor:
     if float(xyz.abs().max()) > 1e150:
         row = int(xyz.abs().amax(1).argmax())
         raise InvalidMeshError(f"points row {row} is {xyz[row].tolist()}: areas beyond 1e150 squared overflow; rescale")
+    extent = float((xyz.amax(0).double() - xyz.amin(0).double()).max())
+    if 0 < extent < 1e-150:
+        raise InvalidMeshError(f"the mesh is {extent:.3g} wide: areas of less than 1e-300 underflow; rescale")
     return xyz
 
 
