@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from exact import double_area
 
-from torchmesh import MeshBatch, cli, console, motions, quality
+from torchmesh import MeshBatch, cli, console, metrics, motions, quality
 from torchmesh.errors import MeshIOError
 from torchmesh.io import read, write
 
@@ -301,6 +301,26 @@ def test_quality_json(call, folder):
         assert set(worst) == {"row", "inverted", "imr", "area", "centroid"}
         assert worst["inverted"] is True
         assert worst["area"] < 0
+
+
+def test_quality_metrics(call, folder):
+    done = call("quality", "tangled.vtu", "better.vtu", "--metrics", "minimum_angle,edge_ratio", "--worst", 0)
+    lines = [line.split() for line in done.out.splitlines()]
+    assert ["metric", "min", "p5", "median", "p95", "max", "mean"] in lines
+    assert ["minimum_angle", *["60.000"] * 6] in lines
+    assert ["edge_ratio", *["1.000"] * 6] in lines
+    done = call("quality", "tangled.vtu", "--metrics", "all", "--json")
+    (record,) = json.loads(done.out, parse_constant=pytest.fail)
+    assert list(record["metrics"]) == list(metrics.METRICS)
+    assert record["metrics"]["inverse_mean_ratio"]["max"] == record["imr_maximum"]
+    assert record["metrics"]["minimum_angle"]["min"] == pytest.approx(record["minimum_angle"], rel=1e-14)
+    assert set(record["metrics"]["area"]) == {"min", "mean", "max", "p5", "p50", "p95"}
+
+
+def test_a_metric_that_does_not_exist_is_refused(call):
+    done = call("quality", "better.vtu", "--metrics", "area,skew")
+    assert (done.status, done.out) == (2, "")
+    assert "error: --metrics: there is no 'skew'; there are all, area," in done.err
 
 
 def test_worst_upright_triangles_follow_by_shape(call, folder):

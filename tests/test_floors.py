@@ -22,7 +22,7 @@ FLOORS = [
     # 2
     ["mesh"],
     # 3
-    ["delaunay", "quality", "pockets", "diagnosis"],
+    ["delaunay", "quality", "metrics", "pockets", "diagnosis"],
     ["warping", "smoothing"],
     ["untangling"],
     # 4

@@ -1,5 +1,6 @@
 """torchmesh: untangle and improve planar triangle meshes, one or a hundred thousand at once."""
 
+from . import metrics
 from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
 from .diagnosis import Problem, ProblemKind, diagnose
 from .errors import (
@@ -47,6 +48,7 @@ __all__ = [
     "flip_to_delaunay",
     "improve",
     "join",
+    "metrics",
     "minimum_angle",
     "quality",
     "relax",

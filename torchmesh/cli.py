@@ -211,11 +211,22 @@ def improve(
 @_command(
     "torchmesh quality tangled.vtu better.vtu",
     "torchmesh quality tangled.vtu --worst 3",
+    "torchmesh quality better.vtu --metrics minimum_angle,scaled_jacobian,aspect_ratio",
     "torchmesh quality better.vtu --json",
 )
 def quality(
     sources: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Mesh files.", show_default=False)],
     worst: Annotated[int, typer.Option(min=0, help="How many of the worst triangles to list for each file.")] = 10,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Also show how these metrics of the Verdict manual are spread: minimum, percentiles, maximum, mean. "
+            "'all', or some of area, inverse_mean_ratio, mean_ratio, shape, scaled_jacobian, condition, aspect_ratio, "
+            "radius_ratio, edge_ratio, minimum_angle, maximum_angle, equiangle_skew.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON list instead of tables; null stands for infinite.")
     ] = False,
@@ -228,8 +239,13 @@ def quality(
     """
     from .errors import MeshError
     from .io import read
+    from .metrics import METRICS, evaluate
     from .quality import quality as measure
 
+    names = [] if metrics is None else list(METRICS) if metrics == "all" else metrics.split(",")
+    for name in names:
+        if name not in METRICS:
+            raise motions.UsageError(f"--metrics: there is no {name!r}; there are all, {', '.join(METRICS)}")
     _use_threads(1)
     records, unread = [], 0
     for source in sources:
@@ -240,7 +256,10 @@ def quality(
             unread += 1
             continue
         q = measure(mesh)
-        records.append({"file": str(source), **console.record(mesh, q), "worst": console.worst(mesh, q, worst)})
+        record = {"file": str(source), **console.record(mesh, q), "worst": console.worst(mesh, q, worst)}
+        if names:
+            record["metrics"] = {name: s.records()[0] for name, s in evaluate(mesh, names).items()}
+        records.append(record)
     if as_json:
         typer.echo(console.json_text(records), nl=False)
     elif records:

@@ -172,6 +172,8 @@ def print_qualities(records: list[dict[str, Any]]) -> None:
         table.add_row(Text(r["file"]), *map(_number, numbers), style="red" if r["inverted"] else None)
     stdout().print(table)
     for r in records:
+        _print_metrics(r)
+    for r in records:
         if not r["worst"]:
             continue
         table = _table()
@@ -184,6 +186,24 @@ def print_qualities(records: list[dict[str, Any]]) -> None:
             mark = "inverted" if w["inverted"] else ""
             table.add_row(str(w["row"]), _number(w["imr"]), f"{w['area']:.4g}", *place, mark)
         stdout().print(table)
+
+
+def _print_metrics(record: dict[str, Any]) -> None:
+    """A table with a row for each metric, if the record has any."""
+    from rich.text import Text
+
+    if not record.get("metrics"):
+        return
+    table = _table()
+    table.title = Text(f"metrics of {record['file']}")
+    table.add_column("metric")
+    percents = [name for name in next(iter(record["metrics"].values())) if name.startswith("p")]
+    columns = ["min", *percents, "max", "mean"]
+    for name in columns:
+        table.add_column({"p50": "median"}.get(name, name), justify="right")
+    for name, numbers in record["metrics"].items():
+        table.add_row(name, *(_number(numbers[column]) for column in columns))
+    stdout().print(table)
 
 
 def print_parts(mesh: "MeshBatch", loops: "dict[str, Tensor]") -> None:

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from . import triangle
 from .mesh import MeshBatch
 from .predicates import orientation
-from .segments import counts_from_offsets, segment_count, segment_max, segment_sum
-from .triangle import corners, cotangents, inverse_mean_ratio, signed_area
+from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
+from .triangle import corners, inverse_mean_ratio, signed_area
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +55,5 @@ def upright(batch: MeshBatch) -> Tensor:
 
 def minimum_angle(batch: MeshBatch) -> Tensor:
     """(B,) smallest unsigned angle of each mesh, in degrees."""
-    largest = torch.stack(cotangents(corners(batch.points.to(torch.float64), batch.triangles))).amax(0)
-    per_mesh = segment_max(largest, batch.triangle_offsets)
-    # One by one: the bits of a vectorised arctangent depend on where in a vector a number stands.
-    degrees = [math.degrees(math.atan2(1.0, cotangent)) for cotangent in per_mesh.tolist()]
-    return torch.tensor(degrees, dtype=torch.float64, device=per_mesh.device)
+    angle = triangle.minimum_angle(corners(batch.points.to(torch.float64), batch.triangles))
+    return segment_min(angle, batch.triangle_offsets) * (180 / math.pi)
