@@ -495,3 +495,19 @@ def test_triangles_of_an_untouched_mesh_are_the_same_set():
     mesh = meshes.equilateral()
     after, _ = improve(mesh)
     assert triangle_set(after.triangles) == triangle_set(mesh.triangles)
+
+
+def test_every_stage_is_shown_to_an_observer_and_changes_nothing():
+    mesh = meshes.moved_hole()
+    seen: list[tuple[str, MeshBatch]] = []
+    after, report = improve(mesh, observe=lambda stage, batch: seen.append((stage, batch)))
+    assert [stage for stage, _ in seen] == [step.stage for step in report.steps[0]]
+    for (_, batch), step in zip(seen, report.steps[0], strict=True):
+        q = quality(batch)
+        assert (float(q.mean[0]), float(q.max[0]), int(q.inverted[0])) == (step.mean, step.max, step.inverted)
+    assert torch.equal(seen[0][1].points, mesh.points)
+    assert torch.equal(seen[-1][1].points, after.points)
+    assert torch.equal(seen[-1][1].triangles, after.triangles)
+    unseen, _ = improve(mesh)
+    assert torch.equal(unseen.points, after.points)
+    assert torch.equal(unseen.triangles, after.triangles)

@@ -156,6 +156,7 @@ def improve(
     options: ImproveOptions | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
+    observe: Callable[[str, MeshBatch], None] | None = None,
 ) -> tuple[MeshBatch, Report]:
     """Give every mesh of the batch upright triangles of good shape, as far as its boundary admits.
 
@@ -165,9 +166,12 @@ def improve(
     solved (`report.check()` does that).
 
     progress  called now and then with a `Progress`
+    observe   called after each stage with its name and the whole batch as it is then, as for `report_page` and
+              `animate`; first with "initial" and the batch as given.  With one mesh, the calls are the rows of
+              `report.steps[0]`
     """
     options = options or ImproveOptions()
-    job = _Job(batch, options, progress)
+    job = _Job(batch, options, progress, observe)
     job.diagnose()
     if options.method == "paper":
         job.paper()
@@ -184,9 +188,15 @@ _REACH = 6
 class _Job:
     """A batch on its way, with the log of what happened to each mesh."""
 
-    def __init__(self, batch: MeshBatch, options: ImproveOptions, progress: Callable[[Progress], None] | None) -> None:
+    def __init__(
+        self,
+        batch: MeshBatch,
+        options: ImproveOptions,
+        progress: Callable[[Progress], None] | None,
+        observe: Callable[[str, MeshBatch], None] | None = None,
+    ) -> None:
         self.given = self.batch = batch
-        self.options, self.progress = options, progress
+        self.options, self.progress, self.observe = options, progress, observe
         self.quality = quality(batch)
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
         self.messages: dict[int, str] = {}
@@ -335,6 +345,8 @@ class _Job:
         meshes = at.nonzero().squeeze(1).tolist()
         for b, mean, worst, inverted, flipped, steps in zip(meshes, *(c.tolist() for c in columns), strict=True):
             self.steps[b].append(Step(stage, mean, worst, inverted, flipped, steps, seconds))
+        if self.observe is not None:
+            self.observe(stage, self.batch)
 
     def _monitor(self, stage: str, at: Tensor) -> Callable[[int, Tensor], None] | None:
         if self.progress is None:
