@@ -63,6 +63,13 @@ def test_an_inverted_triangle_too_small_to_see_has_a_mark():
     assert vermilion(image) >= 5
 
 
+def test_the_marks_of_very_many_inverted_triangles_leave_the_mesh_visible():
+    mesh = meshes.jittered(160, 160, 0.6)
+    assert int(quality(mesh).inverted[0]) > 10_000
+    image, _, _ = drawn(mesh)
+    assert 0.1 < vermilion(image) / image[..., 0].size < 0.7
+
+
 def test_a_region_draws_only_its_triangles():
     mesh = meshes.grid(40, 40)
     _, everything, _ = drawn(mesh)

@@ -33,6 +33,10 @@ _BEFORE, _AFTER = "#8C8C8C", "#0072B2"
 _FRAME = "#CC0000"
 _COLOURS = "YlGnBu"
 _WORST_SHOWN = 3.0
+# The part of a picture that the marks of tiny inverted triangles may cover.
+_MARKED = 0.2
+# The mean width of a character of a panel's title, in inches.
+_CHARACTER = 0.073
 _TICKS = (1, 1.25, 1.5, 2, 2.5, 3)
 _UNIT = "length units of the file"
 _DPI = 150
@@ -148,7 +152,10 @@ def plot_mesh(
     small = bad & (per_unit * (high - low).max(1) < 3)
     if small.any():
         centre = shape[small].mean(1)
-        ax.plot(*centre.T, "o", markersize=3, color=_INVERTED, markeredgewidth=0, zorder=4, rasterized=True)
+        # Where very many are inverted, smaller marks: the mesh must still be seen between them.
+        room = per_unit**2 * (view[2] - view[0]) * (view[3] - view[1])
+        size = float(np.clip(np.sqrt(_MARKED * room / len(centre)), 0.8, 3.0))
+        ax.plot(*centre.T, "o", markersize=size, color=_INVERTED, markeredgewidth=0, zorder=4, rasterized=True)
     if frame is not None:
         x, y = frame[0], frame[1]
         ax.add_patch(
@@ -173,7 +180,7 @@ def before_after(path: str | os.PathLike[str], before: MeshBatch, after: MeshBat
     for column, (name, mesh, q) in enumerate(zip(("before", "after"), (before, after), measured, strict=True)):
         ax = sheet.axes(0, column)
         fill = plot_mesh(ax, mesh, q, view, frame=close_up)
-        ax.set_title(f"{name}: {_summary(mesh, q, sheet.panel[0])}", fontsize=10)
+        ax.set_title(_summary(f"{name}:", mesh, q, sheet.panel[0]), fontsize=10)
         ax = sheet.axes(1, column)
         plot_mesh(ax, mesh, q, close_up)
         ax.set_title(f"{name}, close-up (red rectangle)", fontsize=10)
@@ -195,7 +202,7 @@ def with_close_up(path: str | os.PathLike[str], mesh: MeshBatch, close_up: Box, 
     close_up = _within(_shaped(close_up, _aspect(sheet.panel)), view)
     ax = sheet.axes(0, 0)
     fill = plot_mesh(ax, mesh, q, view, frame=close_up)
-    ax.set_title(f"(a) {_summary(mesh, q, sheet.panel[0])}", fontsize=10)
+    ax.set_title(_summary("(a)", mesh, q, sheet.panel[0]), fontsize=10)
     ax = sheet.axes(0, 1)
     plot_mesh(ax, mesh, q, close_up)
     ax.set_title("(b) close-up of the red rectangle", fontsize=10)
@@ -396,12 +403,13 @@ def _rgb(colour: str) -> tuple[float, float, float]:
     return to_rgb(colour)
 
 
-def _summary(mesh: MeshBatch, q: Quality, inches: float) -> str:
-    """A line on a mesh, or two where a line is short."""
+def _summary(name: str, mesh: MeshBatch, q: Quality, inches: float) -> str:
+    """A line on a mesh, or two where a line is too long for so many inches."""
     ratio, count = q.inverse_mean_ratio, len(mesh.triangles)
-    numbers = f"{count:,} triangle{'' if count == 1 else 's'}, {int(q.inverted.sum()):,} inverted,"
+    numbers = f"{name} {count:,} triangle{'' if count == 1 else 's'}, {int(q.inverted.sum()):,} inverted,"
     shapes = f"IMR average {short(float(ratio.mean()))}, maximum {short(float(ratio.max()))}"
-    return f"{numbers}{' ' if inches > 5 else chr(10)}{shapes}"
+    fits = _CHARACTER * (len(numbers) + len(shapes) + 1) <= inches
+    return f"{numbers}{' ' if fits else chr(10)}{shapes}"
 
 
 def short(value: float) -> str:
