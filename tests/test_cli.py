@@ -63,6 +63,9 @@ def originals(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     for name in ("tangled.vtu", "tangled.vtk", "tangled.msh"):
         write(folder / name, meshes.moved_hole())
+    for part in ("a", "b"):
+        (folder / "in" / part).mkdir(parents=True)
+        write(folder / "in" / part / "mesh.vtu", meshes.jittered())
     write(folder / "better.vtu", meshes.equilateral())
     points, triangles = plate()
     write(folder / "plate.msh", MeshBatch.from_arrays(points, triangles))
@@ -434,6 +437,38 @@ def test_a_warp_that_tangles_says_how_much_and_improve_mends_it(call, folder):
     assert (done.status, done.err) == (0, "")
     assert inverted(folder / "out.vtu") == 0
     assert [word in done.out for word in ("undeformed", "warped", "improved")] == [True] * 3
+
+
+@pytest.mark.parametrize("steps", ["auto", "3"])
+def test_a_warp_in_steps_never_tangles(call, folder, steps):
+    done = call("warp", "plate.msh", "out.vtu", "--rotate", "hole:1:180", "--move", "hole:1:0.1,0", "--steps", steps)
+    assert (done.status, done.err) == (0, "")
+    assert inverted(folder / "out.vtu") == 0
+    assert "arrived in" in done.out
+    assert [word in done.out for word in ("undeformed", "deformed")] == [True] * 2
+    hole, rim = parts()
+    points = plate()[0]
+    assert points[hole] + moved(folder)[hole] == pytest.approx(1 - points[hole] + [0.1, 0.0])
+    assert (moved(folder)[rim] == 0).all()
+
+
+def test_a_warp_in_steps_stops_at_the_wall(call, folder):
+    done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:2,0", "--steps", "auto", "-q")
+    assert done.status == 1
+    assert done.out == ""
+    assert done.err.startswith("not at the goal: out.vtu is valid, but stuck after ")
+    assert "outside the outer loop" in done.err
+    assert inverted(folder / "out.vtu") == 0
+
+
+def test_bad_steps_are_usage_errors(call):
+    for steps in ("0", "-1", "many", "1.5", ""):
+        done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0", f"--steps={steps}")
+        assert done.status == 2
+        assert "expected auto or a number of steps" in done.err
+    done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0", "--steps", "2", "--improve")
+    assert done.status == 2
+    assert "--improve" in done.err
 
 
 def test_holes_are_numbered_from_left_to_right():

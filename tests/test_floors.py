@@ -18,12 +18,13 @@ FLOORS = [
     # 1
     ["connectivity", "energies", "stiffness", "lbfgs"],
     ["flipping", "packing", "insertion"],
-    ["polygons"],
+    ["polygons", "rails"],
     # 2
     ["mesh"],
     # 3
-    ["delaunay", "quality", "metrics", "pockets", "diagnosis"],
-    ["warping", "smoothing"],
+    ["delaunay", "quality", "metrics", "pockets", "diagnosis", "paths"],
+    ["warping", "sliding"],
+    ["smoothing"],
     ["untangling"],
     # 4
     ["formats_gmsh", "formats_text"],
@@ -31,8 +32,13 @@ FLOORS = [
     ["formats"],
     ["file_content"],
     ["pipeline", "plotting", "io"],
-    ["domains", "console", "motions"],
-    ["reproduction"],
+    ["domains", "console", "deformation"],
+    ["reproduction", "motions"],
+    ["manifest", "choices"],
+    ["batching"],
+    ["workers"],
+    ["files"],
+    ["command_batch"],
     # 5
     ["cli"],
     ["__init__", "__main__"],

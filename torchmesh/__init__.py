@@ -1,6 +1,7 @@
 """torchmesh: untangle and improve planar triangle meshes, one or a hundred thousand at once."""
 
 from . import metrics
+from .deformation import DeformOptions, DeformReport, deform
 from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
 from .diagnosis import Problem, ProblemKind, diagnose
 from .errors import (
@@ -11,8 +12,11 @@ from .errors import (
     MeshWarning,
     MissingDependencyError,
 )
+from .files import improve_files
 from .io import read, write
+from .manifest import FileResult
 from .mesh import MeshBatch, join
+from .paths import largest_step
 from .pipeline import ImproveOptions, Progress, Report, Step, improve
 from .quality import Quality, minimum_angle, quality
 from .smoothing import MoveInfo, SmoothOptions, smooth
@@ -21,12 +25,17 @@ from .untangling import UntangleOptions, untangle
 from .warping import femwarp, relax
 
 __all__ = [
+    "deform",
+    "DeformOptions",
+    "DeformReport",
+    "largest_step",
     "diagnose",
     "Problem",
     "ProblemKind",
     "read",
     "write",
     "ConvergenceError",
+    "FileResult",
     "FlipInfo",
     "FlipOptions",
     "ImproveOptions",
@@ -47,6 +56,7 @@ __all__ = [
     "femwarp",
     "flip_to_delaunay",
     "improve",
+    "improve_files",
     "join",
     "metrics",
     "minimum_angle",

@@ -1,4 +1,4 @@
-"""The command line: `torchmesh improve`, `quality`, `warp`, `reproduce`.
+"""The command line: `torchmesh improve`, `batch`, `quality`, `warp`, `reproduce`.
 
 Tables go to standard output, everything else (progress, warnings, errors) to standard error.
 Exit status 0: every mesh valid; 1: some mesh has inverted triangles; 2: bad input or usage, in one
@@ -9,18 +9,17 @@ Whatever takes long to import is imported inside the commands, so that `--help` 
 
 import contextlib
 import inspect
-import math
 import os
 import sys
 import time
 from collections.abc import Callable
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from . import console, motions
+from . import command_batch, console, motions
+from .choices import BetaOption, Method, MethodOption, QuietOption, Topology, TopologyOption, improve_options
 
 INTERRUPTED = 130
 
@@ -51,19 +50,8 @@ def _command(*examples: str) -> Callable[[Callable], Callable]:
     return register
 
 
-class Method(str, Enum):
-    default = "default"
-    paper = "paper"
-
-
-class Topology(str, Enum):
-    flip = "flip"
-    keep = "keep"
-
-
 _In = Annotated[Path, typer.Argument(metavar="IN", help="Mesh file to read.", show_default=False)]
 _Threads = Annotated[int, typer.Option(min=1, help="Processor threads to use.")]
-_Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -122,21 +110,9 @@ def improve(
             metavar="OUT", help="Mesh file to write; fields, groups and lines of IN come along.", show_default=False
         ),
     ],
-    method: Annotated[
-        Method,
-        typer.Option(help="The best way known, or Kim 2017 (An Iterative Mesh Untangling Algorithm) as printed."),
-    ] = Method.default,
-    topology: Annotated[
-        Topology, typer.Option(help="May edges flip, or do the triangles stay? Vertices keep their order either way.")
-    ] = Topology.flip,
-    beta: Annotated[
-        float | None,
-        typer.Option(
-            help="Area below which untangle-beta pushes a triangle, in the file's unit of area; needs --method paper. "
-            "The paper has 0.01 in its own unit. Default: 0.03 of the mesh's mean absolute area.",
-            show_default=False,
-        ),
-    ] = None,
+    method: MethodOption = Method.default,
+    topology: TopologyOption = Topology.flip,
+    beta: BetaOption = None,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
     ] = None,
@@ -147,7 +123,7 @@ def improve(
         ),
     ] = None,
     threads: _Threads = 1,
-    quiet: _Quiet = False,
+    quiet: QuietOption = False,
 ) -> int:
     """Untangle a mesh and give its triangles good shapes.
 
@@ -155,22 +131,11 @@ def improve(
     in any case, whole; if it still has inverted triangles, standard error says so and the exit status is 1.
     """
     from .io import read, write
-    from .pipeline import ImproveOptions
     from .pipeline import improve as run
     from .plotting import before_after, check_picture_path, check_target, replacing
     from .quality import quality as measure
 
-    if beta is not None and method is not Method.paper:
-        raise motions.UsageError("--beta needs --method paper: the default method has no absolute beta")
-    if beta is not None and not math.isfinite(beta):
-        raise motions.UsageError(f"--beta must be a finite number, not {beta}")
-    try:
-        if method is Method.paper:
-            options = ImproveOptions.paper(beta=beta, topology=topology.value)
-        else:
-            options = ImproveOptions(topology=topology.value)
-    except ValueError as error:
-        raise motions.UsageError(str(error)) from None
+    options = improve_options(method, topology, beta)
     _check_outputs(source, target, report, plot)
     _check_mesh_target(target)
     if report is not None:
@@ -273,6 +238,7 @@ def quality(
     "torchmesh warp plate.msh --list",
     "torchmesh warp plate.msh moved.vtu --move hole:1:0.5,0",
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --improve",
+    "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --steps auto",
     "torchmesh warp plate.msh bent.vtu --move 0,0,0.2,1:0,-0.1 --rotate hole:1:30:0.5,0.5",
     "torchmesh warp plate.vtu moved.vtu --displacement displacement",
 )
@@ -305,8 +271,16 @@ def warp(
     improve_too: Annotated[
         bool, typer.Option("--improve", help="Improve the warped mesh at once, as torchmesh improve does.")
     ] = False,
+    steps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="auto|N",
+            help="Move in so many steps at least, each so small that nothing tangles; edges may flip.",
+            show_default=False,
+        ),
+    ] = None,
     threads: _Threads = 1,
-    quiet: _Quiet = False,
+    quiet: QuietOption = False,
 ) -> int:
     """Move parts of a mesh's boundary and carry the interior along (FEMWARP).
 
@@ -314,7 +288,9 @@ def warp(
     other fixed vertices inside that box of the undeformed mesh. Turns come first, then all moves and the displacement
     field add up; what is not named stays.
 
-    A large motion inverts triangles. That is no failure: the mesh is written and the count is said.
+    A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps none
+    inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit status
+    is 1.
     """
     from .errors import InvalidMeshError
     from .io import read, write
@@ -336,10 +312,16 @@ def warp(
         raise motions.UsageError("nothing to move: give --move, --rotate or --displacement (--list names the parts)")
     turns = [motions.Turn.of(text) for text in rotate or []]
     shifts = [motions.Shift.of(text) for text in move or []]
+    if steps is not None:
+        motions.check_steps(steps, improve_too)
     _check_mesh_target(target)
     _use_threads(threads)
 
     mesh = read(source)
+    if steps is not None:
+        return motions.deform_file(
+            mesh, motions.new_boundary(mesh, turns, shifts, source, displacement), steps, target, source, quiet
+        )
     try:
         warped = femwarp(mesh, motions.new_boundary(mesh, turns, shifts, source, displacement))
     except InvalidMeshError as error:
@@ -384,6 +366,9 @@ def reproduce(
     for record in failed:
         console.say(f"not valid: {record['domain']}, {record['stage']}: {record['ours']['inverted']} inverted")
     return int(bool(failed))
+
+
+_command(*command_batch.EXAMPLES)(command_batch.batch)
 
 
 # --- around the work -------------------------------------------------------------------------------

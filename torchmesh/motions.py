@@ -182,3 +182,35 @@ def loops(mesh: "MeshBatch") -> dict[str, "Tensor"]:
         for number, (_, _, loop) in enumerate(sorted(found, key=lambda f: f[:2]), 1):
             named[f"{name}:{number}"] = loop
     return named
+
+
+def check_steps(steps: str, improve_too: bool) -> None:
+    """Raises UsageError unless `steps` is auto or a number, and stands alone."""
+    if steps != "auto" and not (steps.isascii() and steps.isdigit() and int(steps) > 0):
+        raise UsageError(f"--steps {steps}: expected auto or a number of steps, at least 1")
+    if improve_too:
+        raise UsageError("--steps improves on arrival: leave --improve out")
+
+
+def deform_file(mesh: "MeshBatch", boundary: "Tensor", steps: str, target: Path, source: Path, quiet: bool) -> int:
+    """`torchmesh warp --steps`: move without tangling, write, say how far it got; the exit status."""
+    from . import console
+    from .deformation import deform
+    from .errors import InvalidMeshError
+    from .io import write
+    from .quality import quality as measure
+    from .status import Status
+
+    with console.progress(quiet) as show:
+        try:
+            after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show)
+        except InvalidMeshError as error:
+            raise InvalidMeshError(f"{source}: {error}") from None
+    write(target, after, like=source)
+    if not quiet:
+        columns = {"undeformed": console.record(mesh, measure(mesh)), "deformed": console.record(after, measure(after))}
+        console.print_comparison(f"{target}, {report.messages[0]}", columns)
+    if int(report.status[0]) == Status.VALID:
+        return 0
+    console.say(f"not at the goal: {target} is valid, but {report.messages[0]}")
+    return 1

@@ -181,6 +181,9 @@ def improve(
     return job.batch, job.report()
 
 
+# The inverse mean ratio of a triangle that is all but flat.
+_SLIVER = 50.0
+
 # Rings of vertices round the triangles that untangle-beta pushes which may give way.
 _REACH = 6
 
@@ -268,6 +271,9 @@ class _Job:
     def refine(self) -> None:
         """Flips and smoothing in turn on the valid meshes, then smoothing that cares for the worst triangles."""
         going = self.quality.inverted == 0
+        # A few triangles that are all but flat drown the others in q^2, and more so in its ceiling.
+        slivers = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
+        self._smooth("smooth", going & (self.quality.max > _SLIVER), slivers)
         rough = SmoothOptions(power=self.options.smooth.power, max_iterations=20, energy_tolerance=1e-3)
         if self.options.topology != "keep":
             for turn in range(self.options.smooth_rounds):
