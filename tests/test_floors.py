@@ -32,7 +32,7 @@ FLOORS = [
     ["formats"],
     ["file_content"],
     ["pipeline", "plotting", "io"],
-    ["domains", "console", "deformation"],
+    ["domains", "storage", "console", "deformation"],
     ["reproduction", "motions"],
     ["manifest", "choices"],
     ["batching"],

@@ -89,9 +89,20 @@ def _progress_text(at: "Progress", started: float) -> str:
     return f"{time.perf_counter() - started:.1f} s  {at.stage}: {meshes}{at.inverted:,} inverted{energy}"
 
 
-def counted(count: int, noun: str) -> str:
+@contextlib.contextmanager
+def bar(total: int) -> Iterator["Callable[[int, str], None]"]:
+    """A live bar on standard error; call with what is done of the total, and words."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+    columns = (SpinnerColumn("line"), BarColumn(24), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=_stderr(), transient=True) as progress:
+        task = progress.add_task("starting", total=total)
+        yield lambda done, text: progress.update(task, completed=done, description=text)
+
+
+def counted(count: int, noun: str, plural: str | None = None) -> str:
     """'1 triangle', '2,000 triangles'"""
-    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {plural or noun + 's'}"
 
 
 def record(mesh: "MeshBatch", q: "Quality") -> dict[str, Any]:
@@ -156,6 +167,19 @@ def print_comparison(title: str, columns: dict[str, dict[str, Any]]) -> None:
         ("minimum angle (degrees)", "minimum_angle"),
     ):
         table.add_row(label, *(_number(record[key]) for record in columns.values()))
+    stdout().print(table)
+
+
+def print_counts(title: str, counts: dict[str, int]) -> None:
+    """A table of numbers with their names."""
+    from rich.text import Text
+
+    table = _table()
+    table.title = Text(title)
+    table.add_column("")
+    table.add_column("", justify="right")
+    for name, count in counts.items():
+        table.add_row(name, f"{count:,}")
     stdout().print(table)
 
 

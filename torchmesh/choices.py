@@ -1,0 +1,56 @@
+"""The options that several commands of the command line share.  Nothing here imports torch before it is needed."""
+
+import math
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .motions import UsageError
+
+if TYPE_CHECKING:
+    from .pipeline import ImproveOptions
+
+
+class Method(str, Enum):
+    default = "default"
+    paper = "paper"
+
+
+class Topology(str, Enum):
+    flip = "flip"
+    keep = "keep"
+
+
+MethodOption = Annotated[
+    Method,
+    typer.Option(help="The best way known, or Kim 2017 (An Iterative Mesh Untangling Algorithm) as printed."),
+]
+TopologyOption = Annotated[
+    Topology, typer.Option(help="May edges flip, or do the triangles stay? Vertices keep their order either way.")
+]
+BetaOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Area below which untangle-beta pushes a triangle, in the file's unit of area; needs --method paper. "
+        "The paper has 0.01 in its own unit. Default: 0.03 of the mesh's mean absolute area.",
+        show_default=False,
+    ),
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
+
+
+def improve_options(method: Method, topology: Topology, beta: float | None) -> "ImproveOptions":
+    """The options of `improve` that a command line asks for; raises UsageError."""
+    from .pipeline import ImproveOptions
+
+    if beta is not None and method is not Method.paper:
+        raise UsageError("--beta needs --method paper: the default method has no absolute beta")
+    if beta is not None and not math.isfinite(beta):
+        raise UsageError(f"--beta must be a finite number, not {beta}")
+    try:
+        if method is Method.paper:
+            return ImproveOptions.paper(beta=beta, topology=topology.value)
+        return ImproveOptions(topology=topology.value)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
