@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -11,7 +12,9 @@ from .lbfgs import LbfgsOptions, minimise
 from .mesh import MeshBatch
 from .packing import MeshObjective, pack
 from .quality import upright
+from .rails import Rails
 from .segments import segment_any, spread
+from .sliding import Slide, rails_of
 from .status import Status
 from .triangle import corners, squared_edge_lengths
 
@@ -25,6 +28,9 @@ class SmoothOptions:
     max_iterations    L-BFGS steps tried at most
     energy_tolerance  a mesh is done when five steps together lower its energy by less than this part
     gradient_tolerance  or when the root mean square of its scaled gradient is below this
+    boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
+                      curves they are on, which keep their shape and the areas on both sides
+    corner_angle      degrees; where such a curve turns by more, the vertex is a corner and stays
     """
 
     power: int = 2
@@ -32,6 +38,8 @@ class SmoothOptions:
     max_iterations: int = 300
     energy_tolerance: float = 1e-5
     gradient_tolerance: float = 1e-6
+    boundary: Literal["fixed", "slide"] = "fixed"
+    corner_angle: float = 40.0
 
     def __post_init__(self) -> None:
         if self.power < 1:
@@ -40,6 +48,10 @@ class SmoothOptions:
             raise ValueError(f"SmoothOptions.ceiling must be above 1, the ideal, not {self.ceiling}")
         if self.max_iterations < 0:
             raise ValueError(f"SmoothOptions.max_iterations must not be negative, but is {self.max_iterations}")
+        if self.boundary not in ("fixed", "slide"):
+            raise ValueError(f"SmoothOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
+        if not 0 <= self.corner_angle <= 180:
+            raise ValueError(f"SmoothOptions.corner_angle must lie between 0 and 180 degrees, not {self.corner_angle}")
         for name in ("energy_tolerance", "gradient_tolerance"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"SmoothOptions.{name} must not be negative, but is {getattr(self, name)}")
@@ -51,6 +63,8 @@ class MoveInfo:
 
     energy and gradient (root mean square of the gradient per free coordinate, scaled by the local
     edge length) at the end; steps accepted; energies evaluated; `Status` as int64.
+
+    rails  where sliding vertices slid to; None: there were none
     """
 
     energy: Tensor
@@ -58,6 +72,7 @@ class MoveInfo:
     iterations: Tensor
     evaluations: Tensor
     status: Tensor
+    rails: Rails | None = None
 
 
 Monitor = Callable[[int, Tensor], None]
@@ -69,18 +84,24 @@ def smooth(
     *,
     free: Tensor | None = None,
     monitor: Monitor | None = None,
+    rails: Rails | None = None,
 ) -> tuple[MeshBatch, MoveInfo]:
     """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
 
     No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
     `Status.INVERTED`.
 
-    free     (V,) bool, move only these of the vertices that are not fixed
+    free     (V,) bool, move only these of the vertices that are not fixed, or that slide
     monitor  called with the iteration and the energies of the meshes still running
+    rails    curves to slide along, as an earlier call left them (`info.rails`); None: those of
+             the mesh as it is, if the options say "slide"
     """
     options = options or SmoothOptions()
     refused = segment_any(~upright(batch), batch.triangle_offsets)
-    may_move = ~batch.fixed & ~spread(refused, batch.point_offsets)
+    if rails is None and options.boundary == "slide":
+        rails = rails_of(batch, options.corner_angle)
+    stays = batch.fixed if rails is None else batch.fixed & ~rails.may_slide(batch.point_offsets)
+    may_move = ~stays & ~spread(refused, batch.point_offsets)
     if free is not None:
         may_move &= free
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
@@ -93,9 +114,11 @@ def smooth(
         packing.triangle_offsets,
         packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
     )
+    slide = None if rails is None else Slide(batch, rails, packing)
+    problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
     result = minimise(
-        objective,
-        packing.unknowns,
+        problem,
+        start,
         LbfgsOptions(
             max_iterations=options.max_iterations,
             gradient_tolerance=options.gradient_tolerance,
@@ -105,14 +128,19 @@ def smooth(
         ),
         monitor,
     )
-    moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
+    if slide is None:
+        moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
+    else:
+        points, rails = slide.finish(result.unknowns)
+        moved = batch.with_points(points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
     worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
     status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
     if bool(worse.any()):
         back = spread(worse, batch.point_offsets)[:, None]
         moved = batch.with_points(torch.where(back, batch.points, moved.points))
-    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status)
+        rails = None if slide is None or rails is None else rails.put(worse, slide.rails.select(worse))
+    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, rails)
 
 
 def vertex_size(batch: MeshBatch) -> Tensor:
