@@ -25,6 +25,7 @@ from .errors import ConvergenceError
 from .mesh import MeshBatch, join, put
 from .pockets import untangle_by_pockets
 from .quality import Quality, quality
+from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth
 from .status import Status
 from .untangling import UntangleOptions, small_triangles, untangle
@@ -41,23 +42,35 @@ class ImproveOptions:
     smooth            the smoothing steps
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
+    boundary          "fixed": boundary and constrained edges stay; "slide": once the mesh is valid, their
+                      vertices move along the given curves, corners excepted (`SmoothOptions.boundary`)
     """
 
     method: Literal["default", "paper"] = "default"
     topology: Literal["keep", "flip"] = "flip"
     untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions("beta", beta=0.3, max_iterations=30))
-    smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
+    smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-3))
     untangle_rounds: int = 3
     smooth_rounds: int = 15
+    boundary: Literal["fixed", "slide"] = "fixed"
 
     def __post_init__(self) -> None:
         if self.method not in ("default", "paper"):
             raise ValueError(f"ImproveOptions.method must be 'default' or 'paper', not {self.method!r}")
         if self.topology not in ("keep", "flip"):
             raise ValueError(f"ImproveOptions.topology must be 'keep' or 'flip', not {self.topology!r}")
+        if self.boundary not in ("fixed", "slide"):
+            raise ValueError(f"ImproveOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
+        if self.slides and self.topology not in ("keep", "flip"):
+            raise ValueError(f"ImproveOptions.boundary='slide' needs topology 'keep' or 'flip', not {self.topology!r}")
         for name in ("untangle_rounds", "smooth_rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"ImproveOptions.{name} must be at least 1, not {getattr(self, name)}")
+
+    @property
+    def slides(self) -> bool:
+        """Do boundary and interface vertices slide along their curves?"""
+        return "slide" in (self.boundary, self.smooth.boundary)
 
     @classmethod
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
@@ -100,7 +113,8 @@ class Report:
 
     status     int64 `Status`
     valid      bool, every triangle is upright by exact sign
-    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given
+    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given; no
+               fixed vertex has moved but those that slide
     quality    `Quality` at the end
     steps      for every mesh its rows of the paper's tables, in order
     messages   for every mesh, why it ended
@@ -157,6 +171,7 @@ def improve(
     *,
     progress: Callable[[Progress], None] | None = None,
     observe: Callable[[str, MeshBatch], None] | None = None,
+    hold: Tensor | None = None,
 ) -> tuple[MeshBatch, Report]:
     """Give every mesh of the batch upright triangles of good shape, as far as its boundary admits.
 
@@ -169,9 +184,10 @@ def improve(
     observe   called after each stage with its name and the whole batch as it is then, as for `report_page` and
               `animate`; first with "initial" and the batch as given.  With one mesh, the calls are the rows of
               `report.steps[0]`
+    hold      (V,) bool, vertices that do not slide; needs boundary="slide", without which none does
     """
     options = options or ImproveOptions()
-    job = _Job(batch, options, progress, observe)
+    job = _Job(batch, options, progress, observe, hold)
     job.diagnose()
     if options.method == "paper":
         job.paper()
@@ -197,8 +213,10 @@ class _Job:
         options: ImproveOptions,
         progress: Callable[[Progress], None] | None,
         observe: Callable[[str, MeshBatch], None] | None = None,
+        hold: Tensor | None = None,
     ) -> None:
         self.given = self.batch = batch
+        self.rails = rails_of(batch, options.smooth.corner_angle, hold) if options.slides else None
         self.options, self.progress, self.observe = options, progress, observe
         self.quality = quality(batch)
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
@@ -207,6 +225,12 @@ class _Job:
         everything = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
         none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
         self._log("initial", everything, none, none, 0.0)
+
+    @property
+    def stays(self) -> Tensor:
+        """(V,) bool: the fixed vertices that do not slide either."""
+        fixed = self.given.fixed
+        return fixed if self.rails is None else fixed & ~self.rails.may_slide(self.given.point_offsets)
 
     @property
     def tangled(self) -> Tensor:
@@ -274,7 +298,7 @@ class _Job:
         # A few triangles that are all but flat drown the others in q^2, and more so in its ceiling.
         slivers = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
         self._smooth("smooth", going & (self.quality.max > _SLIVER), slivers)
-        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=20, energy_tolerance=1e-3)
+        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=10, energy_tolerance=1e-3)
         if self.options.topology != "keep":
             for turn in range(self.options.smooth_rounds):
                 mean, worst = self.quality.mean, self.quality.max
@@ -289,7 +313,7 @@ class _Job:
         """The certificate and the log."""
         valid = self.quality.inverted == 0
         messages = [self.messages.get(b, Status(int(status)).message) for b, status in enumerate(self.status.tolist())]
-        certified = valid & _same_frame(self.given, self.batch)
+        certified = valid & _same_frame(self.given, self.batch, self.stays)
         return Report(self.status, valid, certified, self.quality, self.steps, messages)
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions) -> Tensor:
@@ -313,7 +337,10 @@ class _Job:
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
-                part, info = smooth(part, options, monitor=self._monitor(stage, at))
+                rails = None if self.rails is None else self.rails.select(at)
+                part, info = smooth(part, options, monitor=self._monitor(stage, at), rails=rails)
+                if self.rails is not None and info.rails is not None:
+                    self.rails = self.rails.put(at, info.rails)
                 done(part, iterations=info.iterations)
 
     def _try(self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple]) -> None:
@@ -366,15 +393,15 @@ class _Job:
         return monitor
 
 
-def _same_frame(before: MeshBatch, after: MeshBatch) -> Tensor:
-    """(B,) bool: the same boundary edges and Euler number, every constrained edge there, fixed vertices unmoved."""
+def _same_frame(before: MeshBatch, after: MeshBatch, stays: Tensor) -> Tensor:
+    """(B,) bool: the same boundary edges and Euler number, every constrained edge there, `stays` (V,) unmoved."""
     count = len(before.points)
     same = torch.ones(len(before), dtype=torch.bool, device=before.points.device)
 
     def fail(vertices: Tensor) -> None:
         same[torch.bucketize(vertices, before.point_offsets[1:], right=True)] = False
 
-    fail((before.fixed & (before.points != after.points).any(1)).nonzero().squeeze(1))
+    fail((stays & (before.points != after.points).any(1)).nonzero().squeeze(1))
     if before.triangles is after.triangles:
         return same
     twin = connectivity.twins(after.triangles)

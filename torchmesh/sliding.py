@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from . import connectivity
+from .errors import InvalidMeshError
 from .lbfgs import BLOCK
 from .mesh import MeshBatch
 from .packing import MeshObjective, Packing
@@ -34,6 +35,9 @@ def rails_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None =
     """
     network, on_network = _network(batch)
     if hold is not None:
+        hold = torch.as_tensor(hold, device=on_network.device)
+        if hold.dtype != torch.bool or hold.shape != on_network.shape:
+            raise InvalidMeshError(f"hold must be ({len(on_network)},) bool, not {tuple(hold.shape)} {hold.dtype}")
         on_network &= ~hold
     return lay_rails(batch.points.to(torch.float64), network, on_network, corner_angle, batch.point_offsets)
 
