@@ -31,14 +31,16 @@ def harmonic_extension(
     known: Tensor,
     values: Tensor,
     point_offsets: Tensor,
+    source: Tensor | None = None,
 ) -> Tensor:
-    """Solve K_II x_I = -K_IB x_B for the unknown rows; the known ones keep their values.
+    """Solve K_II x_I = f_I - K_IB x_B for the unknown rows; the known ones keep their values.
 
     triangles      (T, 3) int64
     weights        three (T,): the weight of the edges opposite the corners a, b, c
     known          (V,) bool
     values         (V, k) the known rows count
     point_offsets  (B+1,) the rows of each mesh, which is solved for itself
+    source         (V, k) the right-hand side f; None: zero
 
     A sparse direct factorisation of each mesh (scipy: SuperLU, minimum-degree ordering).  One of
     the whole batch would order its columns by all of it, and so round each mesh differently.
@@ -58,6 +60,8 @@ def harmonic_extension(
     rows = coupling[unknown]
     inner = (diags(np.asarray(rows.sum(1)).ravel()) - rows[:, unknown]).tocsc()
     right = rows[:, fixed] @ given[fixed]
+    if source is not None:
+        right = right + source.to(torch.float64).cpu().numpy()[unknown]
     solution = given.copy()
     # Slicing a sparse matrix costs its width, mesh by mesh: the blocks are cut out of its arrays instead.
     for first, last in itertools.pairwise(np.searchsorted(unknown, point_offsets.cpu().numpy()).tolist()):

@@ -1,0 +1,228 @@
+"""Meshes with as many vertices as they should have: splits, collapses, flips and smoothing in turn.
+
+valid mesh --> sizes --> split long edges, collapse short ones --> flips --> smooth --+--> polish
+                 ^                                                                    |
+                 +---------------- while edges change or the shapes get better -------+
+"""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from .collapsing import Collapses, Outcome, collapse_rounds
+from .collapsing import Wish as CollapseWish
+from .connectivity import twins
+from .delaunay import FlipOptions, constrained_half_edges, flip_to_delaunay
+from .editing import Editable, compact
+from .genealogy import Names, VertexMap, exchange
+from .mesh import MeshBatch, vertex_mesh
+from .packing import centre_and_unit
+from .quality import quality
+from .segments import counts_from_offsets, offsets_from_counts, segment_any, spread
+from .sizing import SizeConformity, Sizes, carried, size_conformity, size_field
+from .smoothing import SmoothOptions, smooth
+from .splitting import Wish as SplitWish
+from .splitting import split_rounds, worst_after
+
+
+@dataclass(frozen=True)
+class RemeshOptions:
+    """How `remesh` works.
+
+    sizes           the edge lengths wanted, as in `size_field`; a tensor is over the vertices of the batch
+    collapse_below  edges shorter than this part of the size wanted are collapsed
+    split_above     edges longer than this many times it are split
+    worst           no split or collapse makes a triangle of higher inverse mean ratio, unless one as bad was there
+    split_boundary  may boundary and constrained edges be halved?  Their course stays as it is
+    max_rounds      rounds of splitting, collapsing, flipping and smoothing at most
+    smooth          the last smoothing
+    """
+
+    sizes: Sizes = "boundary"
+    collapse_below: float = 0.7
+    split_above: float = 1.4
+    worst: float = 3.0
+    split_boundary: bool = False
+    max_rounds: int = 8
+    smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
+
+    def __post_init__(self) -> None:
+        # An edge that was just halved must not be short, nor one that comes of a collapse long.
+        if not 0 < self.collapse_below <= self.split_above / 2:
+            raise ValueError(
+                "RemeshOptions.collapse_below must be positive and at most half of split_above "
+                f"({self.split_above}), or edges are halved and collapsed in turn for ever; not {self.collapse_below}"
+            )
+        if not self.worst > 1:
+            raise ValueError(f"RemeshOptions.worst must be above 1, the ideal, not {self.worst}")
+        if self.max_rounds < 0:
+            raise ValueError(f"RemeshOptions.max_rounds must not be negative, but is {self.max_rounds}")
+
+
+@dataclass(frozen=True, eq=False)
+class RemeshInfo:
+    """What `remesh` did, per mesh (B,).
+
+    splits, collapses, flips, rounds  int64 numbers
+    vertex_map  the `VertexMap` from the given vertices to those of the result
+    size        (V_new,) the edge lengths that were wanted, at the new vertices
+    conformity  how well the edges follow them
+    """
+
+    splits: Tensor
+    collapses: Tensor
+    flips: Tensor
+    rounds: Tensor
+    vertex_map: VertexMap
+    size: Tensor
+    conformity: SizeConformity
+
+
+def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[MeshBatch, RemeshInfo]:
+    """Add and remove vertices until edges have the sizes wanted and triangles good shapes.
+
+    Fixed vertices stay, as do boundary and constrained edges (halved at most, with
+    `split_boundary`) and the regions they bound.  Kept vertices keep their order; inserted ones
+    come after them, mesh by mesh.  A mesh that has inverted triangles comes back as it was.
+    """
+    work = Remeshing(batch, options or RemeshOptions())
+    work.run(~segment_any(~quality(batch).upright, batch.triangle_offsets))
+    return work.batch, work.info()
+
+
+class Remeshing:
+    """A batch on its way, with the names of its vertices and the sizes wanted at them."""
+
+    def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
+        self.batch, self.options = batch, options
+        self.names = Names(len(batch.points), batch.points.device)
+        self.wanted = counts_from_offsets(batch.triangle_offsets)
+        self.size: Tensor | None = None
+        zero = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
+        self.splits, self.collapses, self.flips, self.rounds = zero, zero.clone(), zero.clone(), zero.clone()
+
+    def run(self, going: Tensor) -> None:
+        """Remesh the meshes `going` (B,) bool, which must be valid."""
+        done = going
+        options = SmoothOptions(max_iterations=15, energy_tolerance=1e-3)
+        rough = quality(self.batch)
+        self.size = size_field(self.batch, self.options.sizes, triangles=self.wanted)
+        for turn in range(self.options.max_rounds):
+            if not bool(going.any()):
+                break
+            changed = self._cut(going)
+            self._settle(going, options)
+            self.rounds[going] += 1
+            now = quality(self.batch)
+            few = 500 * changed <= counts_from_offsets(self.batch.triangle_offsets)
+            stuck = (rough.mean - now.mean < 1e-4) & (rough.max - now.max < 1e-3 * now.max)
+            going = going & ~few & ~(stuck if turn else few)
+            rough = now
+        self._polish(done)
+
+    def info(self) -> RemeshInfo:
+        size = size_field(self.batch, self.options.sizes) if self.size is None else self.size
+        return RemeshInfo(
+            self.splits, self.collapses, self.flips, self.rounds, self.names.vertex_map(), size,
+            size_conformity(self.batch, size),
+        )  # fmt: skip
+
+    def _cut(self, going: Tensor) -> Tensor:
+        """Split and collapse in the meshes `going`; how many edges of each mesh (B,)."""
+        assert self.size is not None
+        part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
+        e = editable(part, self.size[rows], self.names, self.names.of[rows])
+        splits = split_rounds(e, self._too_long(e), allow_fixed=self.options.split_boundary)
+        collapses = collapse_rounds(e, self._too_short(e), self._harmless)
+        self.splits[going] += splits
+        self.collapses[going] += collapses
+        self.names.fresh = e.fresh
+        part, size, names = rebuilt(part, e)
+        self.batch, self.size, self.names.of = exchange(
+            self.batch, going, part, [(self.size, size), (self.names.of, names)]
+        )
+        changed = torch.zeros_like(self.splits)
+        changed[going] = splits + collapses
+        return changed
+
+    def _too_long(self, e: Editable) -> SplitWish:
+        def wish(h: Tensor) -> tuple[Tensor, Tensor]:
+            ratio = e.relative_length(h)
+            long = (ratio > self.options.split_above).nonzero().squeeze(1)
+            before, after = worst_after(e, h[long])
+            wanted = torch.zeros(len(h), dtype=torch.bool, device=h.device)
+            wanted[long] = after <= before.clamp_min(self.options.worst)
+            return wanted, e.shuffled(h, -ratio)
+
+        return wish
+
+    def _too_short(self, e: Editable) -> CollapseWish:
+        def wish(h: Tensor) -> Tensor:
+            ratio = e.relative_length(h)
+            return torch.where(ratio < self.options.collapse_below, ratio, torch.inf)
+
+        return wish
+
+    def _harmless(self, c: Collapses, o: Outcome) -> Tensor:
+        return (o.after <= o.before.clamp_min(self.options.worst)) & (o.longest < self.options.split_above)
+
+    def _settle(self, going: Tensor, options: SmoothOptions) -> Tensor:
+        """Flip, smooth, and read the sizes anew where the vertices are then; the flips of each mesh (B,)."""
+        part = self.batch.select(going)
+        part, info = flip_to_delaunay(part, FlipOptions(rule="shape"))
+        moved, _ = smooth(part, options)
+        self._renew(going, part, moved)
+        flips = torch.zeros_like(self.flips)
+        flips[going] = info.flips
+        self.flips += flips
+        return flips
+
+    def _renew(self, going: Tensor, before: MeshBatch, after: MeshBatch) -> None:
+        assert self.size is not None
+        rows = spread(going, self.batch.point_offsets)
+        sizes = self.options.sizes
+        if isinstance(sizes, Tensor) or sizes == "keep":
+            size = carried(before, self.size[rows], after.points)
+        else:
+            size = size_field(after, sizes, triangles=self.wanted[going])
+        self.batch, self.size = exchange(self.batch, going, after, [(self.size, size)])
+
+    def _polish(self, going: Tensor) -> None:
+        rough = SmoothOptions(max_iterations=20, energy_tolerance=1e-3)
+        at = going
+        for _ in range(5):
+            if not bool(at.any()):
+                break
+            at = at & (self._settle(at, rough) > 0)
+        if bool(going.any()):
+            part = self.batch.select(going)
+            self._renew(going, part, smooth(part, self.options.smooth)[0])
+
+
+def editable(batch: MeshBatch, size: Tensor, names: Names, of: Tensor) -> Editable:
+    """The batch, taken apart for splits and collapses; its vertices are called `of` (V,)."""
+    twin = twins(batch.triangles)
+    # A power of two changes no sign and keeps every square in range.
+    unit = spread(centre_and_unit(batch.points, batch.point_offsets)[1], batch.point_offsets)
+    points = batch.points.to(torch.float64) / unit[:, None]
+    return Editable(
+        points[:, 0].contiguous(), points[:, 1].contiguous(), size / unit, batch.fixed.clone(), vertex_mesh(batch),
+        of.clone(), batch.triangles.reshape(-1).clone(), twin, constrained_half_edges(batch, twin),
+        torch.ones_like(batch.fixed), batch.points.dtype, names.fresh, names.births, len(batch),
+    )  # fmt: skip
+
+
+def rebuilt(batch: MeshBatch, e: Editable) -> tuple[MeshBatch, Tensor, Tensor]:
+    """The batch that `e` has become, and the sizes and names of its vertices (V,)."""
+    kept, faces, locked, vertices, triangles = compact(e)
+    unit = centre_and_unit(batch.points, batch.point_offsets)[1][e.mesh[kept]]
+    points = (torch.stack([e.x[kept], e.y[kept]], 1) * unit[:, None]).to(batch.points)
+    return (
+        MeshBatch(
+            points, faces, e.fixed[kept], locked, offsets_from_counts(vertices), offsets_from_counts(triangles),
+            batch.frames,
+        ),
+        e.size[kept] * unit,
+        e.origin[kept],
+    )  # fmt: skip
