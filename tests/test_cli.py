@@ -133,7 +133,7 @@ def test_improve_writes_a_valid_mesh_a_report_and_a_picture(folder):
     assert (folder / "p.png").stat().st_size > 50_000
     report = json.loads((folder / "r.json").read_text(), parse_constant=pytest.fail)
     assert set(report) >= {
-        "torchmesh", "input", "output", "method", "topology", "beta", "seconds", "before", "after", "status",
+        "torchmesh", "input", "output", "method", "topology", "boundary", "beta", "seconds", "before", "after", "status",
         "message", "valid", "steps",
     }  # fmt: skip
     assert (report["input"], report["output"]) == ("tangled.vtk", "out.vtu")

@@ -13,7 +13,7 @@ from .errors import (
     MissingDependencyError,
 )
 from .files import improve_files
-from .io import read, write
+from .io import held, read, write
 from .manifest import FileResult
 from .mesh import MeshBatch, join
 from .paths import largest_step
@@ -55,6 +55,7 @@ __all__ = [
     "UntangleOptions",
     "femwarp",
     "flip_to_delaunay",
+    "held",
     "improve",
     "improve_files",
     "join",

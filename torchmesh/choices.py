@@ -22,12 +22,26 @@ class Topology(str, Enum):
     keep = "keep"
 
 
+class Boundary(str, Enum):
+    fixed = "fixed"
+    slide = "slide"
+
+
 MethodOption = Annotated[
     Method,
     typer.Option(help="The best way known, or Kim 2017 (An Iterative Mesh Untangling Algorithm) as printed."),
 ]
 TopologyOption = Annotated[
     Topology, typer.Option(help="May edges flip, or do the triangles stay? Vertices keep their order either way.")
+]
+BoundaryOption = Annotated[
+    Boundary,
+    typer.Option(
+        help="Do the vertices of boundary and region interfaces stay, or slide along their curves? Corners (turns of "
+        "more than 40 degrees) stay, and so do vertices of quads, vertices between boundary lines of different tags, "
+        "and those that the point field 'fixed' marks, unless it marks the whole boundary. Curves keep their shape and "
+        "the areas on both sides."
+    ),
 ]
 BetaOption = Annotated[
     float | None,
@@ -40,7 +54,9 @@ BetaOption = Annotated[
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
 
 
-def improve_options(method: Method, topology: Topology, beta: float | None) -> "ImproveOptions":
+def improve_options(
+    method: Method, topology: Topology, beta: float | None, boundary: Boundary = Boundary.fixed
+) -> "ImproveOptions":
     """The options of `improve` that a command line asks for; raises UsageError."""
     from .pipeline import ImproveOptions
 
@@ -50,7 +66,7 @@ def improve_options(method: Method, topology: Topology, beta: float | None) -> "
         raise UsageError(f"--beta must be a finite number, not {beta}")
     try:
         if method is Method.paper:
-            return ImproveOptions.paper(beta=beta, topology=topology.value)
-        return ImproveOptions(topology=topology.value)
+            return ImproveOptions.paper(beta=beta, topology=topology.value, boundary=boundary.value)
+        return ImproveOptions(topology=topology.value, boundary=boundary.value)
     except ValueError as error:
         raise UsageError(str(error)) from None

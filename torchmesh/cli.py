@@ -19,7 +19,17 @@ from typing import Annotated
 import typer
 
 from . import command_batch, console, motions
-from .choices import BetaOption, Method, MethodOption, QuietOption, Topology, TopologyOption, improve_options
+from .choices import (
+    BetaOption,
+    Boundary,
+    BoundaryOption,
+    Method,
+    MethodOption,
+    QuietOption,
+    Topology,
+    TopologyOption,
+    improve_options,
+)
 
 INTERRUPTED = 130
 
@@ -100,6 +110,7 @@ def _common(
     "torchmesh improve tangled.vtu better.vtu",
     "torchmesh improve tangled.msh better.vtu --plot picture.png --report report.json",
     "torchmesh improve tangled.vtk better.vtk --topology keep",
+    "torchmesh improve tangled.vtk better.vtk --boundary slide",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
 )
 def improve(
@@ -112,6 +123,7 @@ def improve(
     ],
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
+    boundary: BoundaryOption = Boundary.fixed,
     beta: BetaOption = None,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
@@ -127,15 +139,16 @@ def improve(
 ) -> int:
     """Untangle a mesh and give its triangles good shapes.
 
-    The boundary, region interfaces and vertices marked by the point field 'fixed' stay where they are. OUT is written
+    The boundary, region interfaces and vertices marked by the point field 'fixed' stay where they are, unless
+    --boundary slide is given. OUT is written
     in any case, whole; if it still has inverted triangles, standard error says so and the exit status is 1.
     """
-    from .io import read, write
+    from .io import held, read, write
     from .pipeline import improve as run
     from .plotting import before_after, check_picture_path, check_target, replacing
     from .quality import quality as measure
 
-    options = improve_options(method, topology, beta)
+    options = improve_options(method, topology, beta, boundary)
     _check_outputs(source, target, report, plot)
     _check_mesh_target(target)
     if report is not None:
@@ -147,7 +160,7 @@ def improve(
     started = time.perf_counter()
     before = read(source)
     with console.progress(quiet) as show:
-        after, result = run(before, options, progress=show)
+        after, result = run(before, options, progress=show, hold=held(source) if options.slides else None)
         seconds = time.perf_counter() - started
         columns = {"before": console.record(before, measure(before)), "after": console.record(after, result.quality)}
         # One block, so that all files appear or none.
@@ -159,6 +172,7 @@ def improve(
                     "output": str(target),
                     "method": method.value,
                     "topology": topology.value,
+                    "boundary": boundary.value,
                     "beta": beta,
                     "seconds": seconds,
                     **columns,

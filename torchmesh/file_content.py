@@ -60,6 +60,24 @@ class Content:
         return cls(mesh, rows, first, triangle, region, walls, pinned, elsewhere)
 
     @property
+    def seams(self) -> np.ndarray:
+        """(V,) bool: the vertex lies between lines that differ in a region tag or a set."""
+        lines = [i for i, block in enumerate(self.mesh.cells) if block.type == "line" and len(block.data)]
+        low, high = np.full(len(self.mesh.points), np.inf), np.full(len(self.mesh.points), -np.inf)
+        seams = np.zeros(len(self.mesh.points), bool)
+        columns = [[data[i] for i in lines] for n, data in self.mesh.cell_data.items() if n in formats.REGION_TAGS]
+        for members in self.mesh.cell_sets.values():
+            columns.append([np.isin(np.arange(len(self.mesh.cells[i].data)), members[i]) for i in lines])
+        for column in columns if lines else []:
+            low[:], high[:] = np.inf, -np.inf
+            for i, values in zip(lines, column, strict=True):
+                for end in self.mesh.cells[i].data.T:
+                    np.minimum.at(low, end, values.reshape(-1))
+                    np.maximum.at(high, end, values.reshape(-1))
+            seams |= low < high
+        return seams
+
+    @property
     def fixed(self) -> np.ndarray | None:
         """(V,) bool from the point data of that name, None without it."""
         marks = self.mesh.point_data.get("fixed")

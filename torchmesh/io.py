@@ -44,6 +44,27 @@ def read(path: str | os.PathLike[str]) -> MeshBatch:
     return _batch(Content.of(formats.load(path), path), path)
 
 
+def held(path: str | os.PathLike[str]) -> torch.Tensor:
+    """(V,) bool: the boundary and interface vertices of a file that must not slide; for `improve(..., hold=...)`.
+
+    Those of quads and other cells that are not triangles, those of vertex cells (if not every vertex
+    has one), those between lines of different tags or sets, and those that the point data `fixed`
+    marks, unless it marks the whole boundary, as what `write` stores does.  Raises as `read` does.
+    """
+    path = _path(path)
+    content = Content.of(formats.load(path), path)
+    hold = torch.from_numpy(content.pinned | content.seams)
+    if content.fixed is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MeshWarning)
+            mesh = _batch(content, path)
+        rim = connectivity.boundary_vertices(mesh.triangles, connectivity.twins(mesh.triangles), len(hold))
+        marked = torch.from_numpy(content.fixed)
+        if not bool(marked[rim].all()):
+            hold |= marked
+    return hold
+
+
 def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike[str] | None = None) -> None:
     """Writes a batch of one in the format of the path's extension, all or nothing.
 
