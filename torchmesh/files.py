@@ -223,7 +223,9 @@ def _jobs(paths: Paths, out: Path, suffix: str | None) -> list[Job]:
     roots: list[str] = []
     for path in given:
         root, found = _matches(os.fspath(path))
-        mine = [file for file in found if not _below(os.path.abspath(file), inside)]
+        # Results of an earlier run, in a folder among the inputs, are no inputs.
+        among = _below(inside, os.path.abspath(root))
+        mine = [file for file in found if not (among and _below(os.path.abspath(file), inside))]
         if not mine:
             raise MeshIOError(f"{path}: there is no such file, or no mesh file below it")
         roots.append(os.path.abspath(root))

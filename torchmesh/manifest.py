@@ -94,7 +94,7 @@ def load(folder: Path) -> dict[str, FileResult]:
                 except (ValueError, TypeError, AttributeError):
                     continue
                 results[result.name] = result
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as error:
         raise MeshIOError(f"{folder / LINES}: cannot be read: {error.strerror or error}") from None
