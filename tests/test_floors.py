@@ -18,7 +18,7 @@ FLOORS = [
     # 1
     ["connectivity", "energies", "stiffness", "lbfgs"],
     ["flipping", "packing", "insertion", "hessian", "editing"],
-    ["polygons", "rails", "collapsing", "splitting"],
+    ["polygons", "obstructions", "rails", "collapsing", "splitting"],
     ["meshing"],
     ["families"],
     # 2
@@ -27,7 +27,7 @@ FLOORS = [
     ["delaunay", "quality", "metrics", "pockets", "diagnosis", "paths", "genealogy", "sizing"],
     ["warping", "pyg", "sliding"],
     ["smoothing"],
-    ["untangling", "remeshing"],
+    ["untangling", "remeshing", "certificate"],
     ["losses"],
     # 4
     ["formats_gmsh", "formats_text"],

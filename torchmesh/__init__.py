@@ -1,5 +1,8 @@
 """torchmesh: untangle and improve planar triangle meshes, one or a hundred thousand at once."""
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from . import metrics
 from .deformation import DeformOptions, DeformReport, deform
 from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
@@ -24,7 +27,48 @@ from .status import Status
 from .untangling import UntangleOptions, untangle
 from .warping import femwarp, relax
 
+if TYPE_CHECKING:
+    from . import datasets, domains, losses, nn
+    from .pyg import from_pyg, to_pyg
+    from .storage import BatchFile, BatchWriter, load_batch, load_fields, save_batch
+
+# Loaded when first asked for: they import more than torch and numpy, or are of use to few.
+_LAZY_MODULES = ("datasets", "domains", "losses", "nn")
+_LAZY_NAMES = {
+    "from_pyg": "pyg",
+    "to_pyg": "pyg",
+    "BatchFile": "storage",
+    "BatchWriter": "storage",
+    "load_batch": "storage",
+    "load_fields": "storage",
+    "save_batch": "storage",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY_MODULES:
+        return importlib.import_module(f".{name}", __name__)
+    if name in _LAZY_NAMES:
+        return getattr(importlib.import_module(f".{_LAZY_NAMES[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 __all__ = [
+    "BatchFile",
+    "BatchWriter",
+    "datasets",
+    "domains",
+    "from_pyg",
+    "load_batch",
+    "load_fields",
+    "losses",
+    "nn",
+    "save_batch",
+    "to_pyg",
     "deform",
     "DeformOptions",
     "DeformReport",

@@ -67,6 +67,14 @@ class Energy(Protocol):
         ...
 
 
+def whole_power(x: Tensor, power: int) -> Tensor:
+    """x^power, power >= 1, by products: the bits of a general power depend on where in a vector a number is."""
+    product = x
+    for _ in range(power - 1):
+        product = product * x
+    return product
+
+
 @dataclass(frozen=True)
 class InverseMeanRatio:
     """q^p with q = stretch / (2 det), the inverse mean ratio (Kim 2017, equations 2 and 4; Munson 2007).
@@ -82,9 +90,9 @@ class InverseMeanRatio:
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
         upright = det > 0
         ratio = stretch / (2 * torch.where(upright, det, 1.0))
-        phi = ratio**self.power
+        phi = whole_power(ratio, self.power)
         if self.ceiling is not None:
-            phi = phi + (ratio / self.ceiling) ** 8
+            phi = phi + (ratio / self.ceiling).square().square().square()
         return torch.where(upright, phi, torch.inf)
 
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -63,7 +63,7 @@ class Hessian:
         ax, ay, bx, by, cx, cy = u[self.rows]
         e1x, e1y, e2x, e2y = self.e
         d1x, d1y, d2x, d2y = bx - ax, by - ay, cx - ax, cy - ay
-        g11, g12, g22, m = self.target
+        m = self.target.m
         # Half the gradient of the stretch by e1 and e2, and how it changes.
         s1x, s1y, s2x, s2y = self._half_stretch(*self.e)
         ds1x, ds1y, ds2x, ds2y = self._half_stretch(d1x, d1y, d2x, d2y)

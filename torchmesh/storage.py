@@ -225,6 +225,11 @@ class BatchFile:
     def __len__(self) -> int:
         return len(self._offsets["points"]) - 1
 
+    @property
+    def point_fields(self) -> list[str]:
+        """The names of the fields that go with the points."""
+        return list(self._file.get("point_fields", ()))
+
     def __enter__(self) -> "BatchFile":
         return self
 
