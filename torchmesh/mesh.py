@@ -195,7 +195,7 @@ def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
     The inverse of `part = batch.select(at)` after the part's vertices moved or its edges flipped.
     """
     if len(part) == len(batch):
-        return dataclasses.replace(batch, points=part.points, triangles=part.triangles)
+        return part
     points, triangles = batch.points.clone(), batch.triangles.clone()
     points[spread(at, batch.point_offsets)] = part.points
     shift = batch.point_offsets[:-1][at] - part.point_offsets[:-1]

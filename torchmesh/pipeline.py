@@ -18,13 +18,15 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from . import connectivity
+from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
 from .errors import ConvergenceError
+from .genealogy import VertexMap
 from .mesh import MeshBatch, join, put
 from .pockets import untangle_by_pockets
 from .quality import Quality, quality
+from .remeshing import RemeshInfo, Remeshing, RemeshOptions
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth
 from .status import Status
@@ -37,7 +39,9 @@ class ImproveOptions:
     """How `improve` works.
 
     method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
-    topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change
+    topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change;
+                      "full": vertices may be added and removed (`Report.vertex_map` tells which)
+    remesh            sizes and limits of "full"
     untangle          untangle-beta between the flips; "default" tries other ways where it fails
     smooth            the smoothing steps
     untangle_rounds   outer iterations of flipping and untangling at most
@@ -47,18 +51,21 @@ class ImproveOptions:
     """
 
     method: Literal["default", "paper"] = "default"
-    topology: Literal["keep", "flip"] = "flip"
+    topology: Literal["keep", "flip", "full"] = "flip"
     untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions("beta", beta=0.3, max_iterations=30))
     smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-3))
     untangle_rounds: int = 3
     smooth_rounds: int = 15
     boundary: Literal["fixed", "slide"] = "fixed"
+    remesh: RemeshOptions = field(default_factory=RemeshOptions)
 
     def __post_init__(self) -> None:
         if self.method not in ("default", "paper"):
             raise ValueError(f"ImproveOptions.method must be 'default' or 'paper', not {self.method!r}")
-        if self.topology not in ("keep", "flip"):
-            raise ValueError(f"ImproveOptions.topology must be 'keep' or 'flip', not {self.topology!r}")
+        if self.topology not in ("keep", "flip", "full"):
+            raise ValueError(f"ImproveOptions.topology must be 'keep', 'flip' or 'full', not {self.topology!r}")
+        if self.topology == "full" and self.method == "paper":
+            raise ValueError("ImproveOptions.topology='full' needs method 'default': the paper keeps every vertex")
         if self.boundary not in ("fixed", "slide"):
             raise ValueError(f"ImproveOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
         if self.slides and self.topology not in ("keep", "flip"):
@@ -118,6 +125,8 @@ class Report:
     quality    `Quality` at the end
     steps      for every mesh its rows of the paper's tables, in order
     messages   for every mesh, why it ended
+    remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
+               vertices; None under the other topologies
     """
 
     status: Tensor
@@ -126,6 +135,12 @@ class Report:
     quality: Quality
     steps: list[list[Step]]
     messages: list[str]
+    remeshed: RemeshInfo | None = None
+
+    @property
+    def vertex_map(self) -> VertexMap | None:
+        """How the returned vertices answer to the given ones; None where they are the same."""
+        return None if self.remeshed is None else self.remeshed.vertex_map
 
     def check(self) -> "Report":
         """Raise ConvergenceError, naming the meshes, unless every mesh is valid; else return the report."""
@@ -175,8 +190,8 @@ def improve(
 ) -> tuple[MeshBatch, Report]:
     """Give every mesh of the batch upright triangles of good shape, as far as its boundary admits.
 
-    Vertices keep their number and order, fixed ones their place; boundary and constrained edges
-    stay.  Each mesh's result is the same whatever else is in the batch.  The report says for
+    Vertices keep their number and order (but for topology "full"), fixed ones their place; boundary and
+    constrained edges stay.  Each mesh's result is the same whatever else is in the batch.  The report says for
     every mesh what was tried and how it ended; nothing is raised for a mesh that could not be
     solved (`report.check()` does that).
 
@@ -194,6 +209,8 @@ def improve(
     else:
         job.untangle()
         job.refine()
+    if options.topology == "full":
+        job.remesh()
     return job.batch, job.report()
 
 
@@ -219,6 +236,7 @@ class _Job:
         self.rails = rails_of(batch, options.smooth.corner_angle, hold) if options.slides else None
         self.options, self.progress, self.observe = options, progress, observe
         self.quality = quality(batch)
+        self.remeshed: RemeshInfo | None = None
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
         self.messages: dict[int, str] = {}
         self.steps: list[list[Step]] = [[] for _ in range(len(batch))]
@@ -268,10 +286,13 @@ class _Job:
         if not bool(at.any()):
             return
         meshes = at.nonzero().squeeze(1).tolist()
-        for problem in diagnose(self.batch.select(at)):
-            b = meshes[problem.mesh]
+        found: dict[int, list[str]] = {}
+        for problem in diagnose(self.batch.select(at), self.options.topology):
+            found.setdefault(meshes[problem.mesh], []).append(problem.message)
+        for b, texts in found.items():
             self.status[b] = Status.INFEASIBLE
-            self.messages[b] = f"{self.messages[b]}; {problem.message}" if b in self.messages else problem.message
+            more = f"; and {len(texts) - 5} more of the kind" if len(texts) > 5 else ""
+            self.messages[b] = "; ".join(texts[:5]) + more
 
     def untangle(self) -> None:
         """Every way that is left, in order of cost, for the meshes that are still tangled."""
@@ -309,12 +330,24 @@ class _Job:
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
+    def remesh(self) -> None:
+        """Splits and collapses where they make the valid meshes better."""
+        at = self.quality.inverted == 0
+        work = Remeshing(self.batch, self.options.remesh)
+        if bool(at.any()):
+            with self._stage("remesh", at) as done:
+                work.improve(at)
+                done(work.batch, flips=work.flips[at])
+        self.remeshed = work.info()
+
     def report(self) -> Report:
         """The certificate and the log."""
         valid = self.quality.inverted == 0
         messages = [self.messages.get(b, Status(int(status)).message) for b, status in enumerate(self.status.tolist())]
-        certified = valid & _same_frame(self.given, self.batch, self.stays)
-        return Report(self.status, valid, certified, self.quality, self.steps, messages)
+        certified = valid & same_frame(
+            self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map
+        )
+        return Report(self.status, valid, certified, self.quality, self.steps, messages, self.remeshed)
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions) -> Tensor:
         flips = torch.zeros_like(self.status)
@@ -391,35 +424,6 @@ class _Job:
                 report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
 
         return monitor
-
-
-def _same_frame(before: MeshBatch, after: MeshBatch, stays: Tensor) -> Tensor:
-    """(B,) bool: the same boundary edges and Euler number, every constrained edge there, `stays` (V,) unmoved."""
-    count = len(before.points)
-    same = torch.ones(len(before), dtype=torch.bool, device=before.points.device)
-
-    def fail(vertices: Tensor) -> None:
-        same[torch.bucketize(vertices, before.point_offsets[1:], right=True)] = False
-
-    fail((stays & (before.points != after.points).any(1)).nonzero().squeeze(1))
-    if before.triangles is after.triangles:
-        return same
-    twin = connectivity.twins(after.triangles)
-    rims = [connectivity.boundary_edges(before.triangles, connectivity.twins(before.triangles)),
-            connectivity.boundary_edges(after.triangles, twin)]  # fmt: skip
-    old, new = (rim[:, 0] * count + rim[:, 1] for rim in rims)
-    fail(rims[0][~torch.isin(old, new), 0])
-    fail(rims[1][~torch.isin(new, old), 0])
-    # With the same triangle count and rim, the same Euler number is the same set of used vertices.
-    used = torch.zeros((2, count), dtype=torch.bool, device=same.device)
-    used[0, before.triangles.reshape(-1)] = True
-    used[1, after.triangles.reshape(-1)] = True
-    fail((used[0] != used[1]).nonzero().squeeze(1))
-    present = connectivity.edges(after.triangles, twin)
-    keys = connectivity.edge_keys(present[:, 0], present[:, 1], count)
-    wanted = before.constrained_edges
-    fail(wanted[~torch.isin(connectivity.edge_keys(wanted[:, 0], wanted[:, 1], count), keys), 0])
-    return same
 
 
 def _by_pockets(batch: MeshBatch) -> tuple[MeshBatch, None]:

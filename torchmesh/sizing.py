@@ -24,8 +24,8 @@ Sizes: TypeAlias = Literal["boundary", "keep", "uniform"] | Tensor | Callable[[T
 
 NAMES = ("boundary", "keep", "uniform")
 
-# Cotangents below this make the matrix of the harmonic extension indefinite on poor meshes.
-_LEAST_WEIGHT = 0.05
+# Cotangents outside these make the matrix of the harmonic extension indefinite, or stiff, on poor meshes.
+_LEAST_WEIGHT, _MOST_WEIGHT = 0.05, 20.0
 # Balancing changes the logarithm of the interior's sizes by this much at most: refining costs
 # irregular vertices, coarsening gives a user fewer triangles than before, which is meant.
 _FINER, _COARSER = 0.25, 1.0
@@ -86,7 +86,8 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     edges = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
     length, known = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)
     t = corners(batch.points.to(torch.float64), batch.triangles)
-    at_a, at_b, at_c = (w.clamp_min(_LEAST_WEIGHT) for w in cotangent_weights(t))
+    upright = signed_area(t) > 0
+    at_a, at_b, at_c = (torch.where(upright, w, 1.0).clamp(_LEAST_WEIGHT, _MOST_WEIGHT) for w in cotangent_weights(t))
     weights = at_a, at_b, at_c
     idle = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0
     known = known | idle
@@ -96,7 +97,7 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     top = segment_max(torch.where(idle, -torch.inf, u), offsets)
     relative = u - spread(top, offsets)
     share = t.ax.new_zeros(len(batch.points))
-    area = signed_area(t)
+    area = signed_area(t).abs()
     for corner in batch.triangles.unbind(1):
         share.index_add_(0, corner, area)
     unit = _exp(top)
