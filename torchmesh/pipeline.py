@@ -287,7 +287,8 @@ class _Job:
             return
         meshes = at.nonzero().squeeze(1).tolist()
         found: dict[int, list[str]] = {}
-        for problem in diagnose(self.batch.select(at), self.options.topology):
+        may_change: Literal["keep", "flip"] = "keep" if self.options.topology == "keep" else "flip"
+        for problem in diagnose(self.batch.select(at), may_change):
             found.setdefault(meshes[problem.mesh], []).append(problem.message)
         for b, texts in found.items():
             self.status[b] = Status.INFEASIBLE
