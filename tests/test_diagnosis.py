@@ -178,3 +178,119 @@ def test_a_hundred_thousand_triangles_take_less_than_a_second():
     start = time.perf_counter()
     assert diagnose(mesh) == []
     assert time.perf_counter() - start < 1.0
+
+
+# --- with the triangles kept ---
+
+
+def keep_kinds(mesh):
+    return kinds(diagnose(mesh, topology="keep"))
+
+
+@pytest.mark.parametrize("hole", [(), HOLE, [(0, 3)], [(2, 2), (3, 3)]])
+def test_sound_meshes_are_left_in_peace_with_their_triangles_kept(hole):
+    points, triangles, _ = grid(8, hole)
+    mesh = MeshBatch.from_arrays(points, triangles)
+    assert diagnose(mesh, topology="keep") == []
+    points[~mesh.fixed.numpy()] = 17.0
+    assert diagnose(mesh.with_points(torch.from_numpy(points)), topology="keep") == []
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (1.0, 1e8), (1e-140, 0.0), (1e140, 0.0)])
+def test_an_inverted_triangle_of_fixed_vertices(scale, offset):
+    # The corner (1, 0) of the square pushed in beyond the diagonal of its cell: the square stays simple.
+    points, triangles, index = grid(4)
+    points[index[4, 0]] = [0.78125, 0.21875]
+    mesh = MeshBatch.from_arrays(points * scale + offset, triangles)
+    assert diagnose(mesh) == []
+    found = diagnose(mesh, topology="keep")
+    corner = {int(index[4, 0]), int(index[3, 0]), int(index[4, 1])}
+    assert keep_kinds(mesh) <= {ProblemKind.FIXED_TRIANGLE, ProblemKind.FIXED_EDGE}
+    assert [set(p.vertices) for p in found if p.kind is ProblemKind.FIXED_TRIANGLE] == [corner]
+    if scale == 1.0:
+        assert found[0].place == pytest.approx(np.mean([[0.78125, 0.21875], [0.75, 0], [1, 0.25]], 0) + offset)
+    assert "three fixed vertices" in found[0].message
+
+
+def test_edges_between_fixed_vertices_that_leave_the_domain_or_cross():
+    points, triangles, index = grid(4)
+    fixed = np.zeros(len(points), bool)
+    fixed[[index[1, 1], index[2, 2], index[1, 2], index[2, 1]]] = True
+    swapped = points.copy()
+    # The cell's diagonal and a side of it, between vertices that a user fixed, now cross.
+    swapped[index[1, 1]], swapped[index[1, 2]] = [0.45, 0.3], [0.3, 0.2]
+    mesh = MeshBatch.from_arrays(swapped, triangles, fixed)
+    assert diagnose(mesh) == []
+    assert keep_kinds(mesh) > set()
+    # A straight edge across a bay: three cells of boundary pulled in below the edge over them.
+    bay = MeshBatch.from_arrays(
+        [[0, 0], [2, 1.9], [4, 0], [4, 3], [0, 3], [2, 2.5]],
+        [[0, 1, 5], [1, 2, 5], [2, 3, 5], [3, 4, 5], [4, 0, 5]],
+    )
+    assert diagnose(bay, topology="keep") == []
+    across = MeshBatch.from_arrays(
+        [[0, 0], [2, 1.9], [4, 0], [4, 3], [0, 3], [2, 2.5]],
+        [[0, 1, 2], [0, 2, 5], [2, 3, 5], [3, 4, 5], [4, 0, 5]],
+    )
+    assert diagnose(across) == []
+    assert ProblemKind.FIXED_TRIANGLE in keep_kinds(across)
+
+
+def star(radii, turn=0.1):
+    """A free vertex in the middle of a ring at these radii."""
+    count = len(radii)
+    angle = 2 * np.pi * np.arange(count) / count + turn
+    ring = np.stack([np.cos(angle), np.sin(angle)], 1) * np.asarray(radii)[:, None]
+    points = np.concatenate([ring, [[0.0, 0.0]]])
+    return points, np.array([[i, (i + 1) % count, count] for i in range(count)])
+
+
+@pytest.mark.parametrize("count", [8, 30])
+def test_a_ring_without_a_kernel(count):
+    # A band that winds three quarters round: no place sees all of it.
+    half = count // 2
+    angle = np.linspace(0, 1.5 * np.pi, half)
+    band = np.concatenate([np.stack([r * np.cos(a), r * np.sin(a)], 1) for r, a in ((1.0, angle), (0.8, angle[::-1]))])
+    triangles = [[i, (i + 1) % (2 * half), 2 * half] for i in range(2 * half)]
+    mesh = MeshBatch.from_arrays(np.concatenate([band, [[0.9, 0.0]]]), triangles)
+    found = diagnose(mesh, topology="keep")
+    assert [(p.kind, p.vertices) for p in found] == [(ProblemKind.NO_KERNEL, (2 * half,))]
+    assert diagnose(mesh) == []
+
+
+@pytest.mark.parametrize("count", [3, 4, 7, 14, 15, 40])
+def test_star_shaped_rings_have_a_kernel_wherever_their_vertex_is(count):
+    rng = np.random.default_rng(count)
+    for _ in range(5):
+        points, triangles = star(rng.uniform(0.5, 1.5, count))
+        points[-1] = rng.normal(size=2) * 5
+        assert ProblemKind.NO_KERNEL not in keep_kinds(MeshBatch.from_arrays(points, triangles))
+
+
+def test_a_kernel_without_area_is_none_and_a_small_one_is_one():
+    # The half-planes of the notch's sides meet in one point at gap 0, in nothing below, in a little above.
+    def notched(gap):
+        points = np.array(
+            [[0, 0], [4, 0], [4, 2], [2 + gap, 2], [3 + gap, 4], [1 - gap, 4], [2 - gap, 2], [0, 2], [2, 1.0]]
+        )
+        return MeshBatch.from_arrays(points, [[i, (i + 1) % 8, 8] for i in range(8)])
+
+    assert keep_kinds(notched(0.25)) == set()
+    assert ProblemKind.NO_KERNEL in keep_kinds(notched(-0.6))
+
+
+def test_problems_of_a_kind_are_told_up_to_a_number():
+    points, triangles, _ = grid(20)
+    mesh = MeshBatch.from_arrays(points, triangles)
+    zigzag = mesh.points.clone()
+    rim = mesh.fixed.nonzero().squeeze(1)
+    zigzag[rim] = zigzag[rim][torch.randperm(len(rim), generator=torch.Generator().manual_seed(0))]
+    for most in (1, 7, 20):
+        found = diagnose(mesh.with_points(zigzag), most=most)
+        assert len(found) == most
+        assert kinds(found) == {ProblemKind.BOUNDARY_CROSSING}
+
+
+def test_a_topology_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="topology must be 'keep' or 'flip', not 'full'"):
+        diagnose(MeshBatch.from_arrays(*grid(2)[:2]), topology="full")

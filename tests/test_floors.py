@@ -41,7 +41,7 @@ FLOORS = [
     ["batching"],
     ["workers"],
     ["files"],
-    ["command_batch"],
+    ["command_batch", "command_generate"],
     # 5
     ["cli"],
     ["__init__", "__main__"],

@@ -287,6 +287,19 @@ def test_an_impossible_boundary_is_told_before_any_work(name):
     assert torch.equal(after.points, before.points)
 
 
+def test_what_kept_triangles_cannot_mend_is_told_before_any_work():
+    points, triangles = meshes.grid_arrays(4, 4)
+    # The corner (1, 0), in one triangle with its two neighbours, pushed in beyond their diagonal.
+    points[20] = [0.78, 0.22]
+    before = MeshBatch.from_arrays(points, triangles)
+    after, report = improve(before, ImproveOptions(topology="keep"))
+    assert report.status.tolist() == [Status.INFEASIBLE]
+    assert "three fixed vertices" in report.messages[0]
+    assert [row.stage for row in report.steps[0]] == ["initial"]
+    assert torch.equal(after.points, before.points)
+    assert improve(before)[1].valid.tolist() == [True]
+
+
 @pytest.mark.parametrize("way", ["default", "keep"])
 @pytest.mark.parametrize("distance", [7.0, 12.0])
 def test_what_is_kept_is_the_best_that_was_found(way, distance):

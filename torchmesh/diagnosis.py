@@ -1,8 +1,13 @@
-"""Why no valid mesh can exist inside a boundary, whatever the triangles: said at once, with the place."""
+"""Why no valid mesh can exist inside a boundary, whatever the triangles: said at once, with the place.
 
-from collections.abc import Iterator
+And, when the triangles are to stay, why no places of the free vertices can help.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 import shapely
@@ -10,6 +15,7 @@ import torch
 
 from . import connectivity
 from .mesh import MeshBatch
+from .obstructions import fallen_fixed_triangles, vertices_without_kernel
 from .polygons import crossing_pairs, loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
 
 
@@ -23,6 +29,9 @@ class ProblemKind(str, Enum):
     HOLE_INSIDE_OUT = "a hole is inside out"
     HOLE_OUTSIDE = "a hole lies outside the outer loop or in another hole"
     VERTEX_OUTSIDE = "a fixed vertex lies outside its region or on an edge"
+    FIXED_TRIANGLE = "a triangle of three fixed vertices is inverted or flat"
+    FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
+    NO_KERNEL = "the fixed ring round a free vertex leaves it no place"
 
 
 @dataclass(frozen=True)
@@ -43,24 +52,34 @@ class Problem:
     place: tuple[float, float]
 
 
-def diagnose(batch: MeshBatch) -> list[Problem]:
+def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most: int = 20) -> list[Problem]:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
-    No problem found means that `untangle_by_pockets` can repair the mesh, rounding permitting.
+    topology  "flip": whatever the triangles.  No problem found means that `untangle_by_pockets` can
+              repair the mesh, rounding permitting.  "keep": with the triangles as they are, also the
+              obstructions that moving free vertices cannot mend.  They are not all there are: a mesh
+              without a problem may still have no valid places
+    most      how many problems of one kind are told of one mesh
+
     Pieces of a mesh not joined by edges may lie over each other.  Loops may share vertices.  What
     lies inside what is looked at only in meshes whose edges do not cross.  Signs are exact.
     """
+    if topology not in ("keep", "flip"):
+        raise ValueError(f"topology must be 'keep' or 'flip', not {topology!r}")
     problems = []
     for b, mesh in enumerate(batch.split()):
-        found = [Problem(kind, text, b, vertices, place) for kind, text, vertices, place in _of_one(mesh)]
-        problems += found
+        told: dict[ProblemKind, int] = {}
+        for kind, text, vertices, place in _of_one(mesh, topology == "keep", most):
+            told[kind] = told.get(kind, 0) + 1
+            if told[kind] <= most:
+                problems.append(Problem(kind, text, b, vertices, place))
     return problems
 
 
 _Found = tuple[ProblemKind, str, tuple[int, ...], tuple[float, float]]
 
 
-def _of_one(mesh: MeshBatch) -> list[_Found]:
+def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
     points = mesh.points.detach().to("cpu", torch.float64).numpy()
     triangles = mesh.triangles.cpu()
     twin = connectivity.twins(triangles)
@@ -68,26 +87,68 @@ def _of_one(mesh: MeshBatch) -> list[_Found]:
     count = len(points)
     constraints = mesh.constrained_edges.cpu()
     walls = connectivity.edge_keys(constraints[:, 0], constraints[:, 1], count)
-    wall = torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & (twin >= 0)
+    inner = twin >= 0
+    wall = torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & inner
+    held = mesh.fixed.cpu()[ends].all(1) & inner & keep
     piece = connectivity.triangle_components(triangles, twin).numpy()
-    region = connectivity.triangle_components(triangles, twin, wall).numpy()
-    once = (twin < 0) | (wall & (torch.arange(len(twin)) < twin))
+    region = connectivity.triangle_components(triangles, twin, wall | held).numpy()
+    once = ~inner | ((wall | held) & (torch.arange(len(twin)) < twin))
     rows = once.nonzero().squeeze(1).numpy()
-    edges, border = ends.numpy()[rows], (twin < 0).numpy()[rows]
+    edges = ends.numpy()[rows]
+    what = np.where(~inner, _BORDER, np.where(wall, _CONSTRAINT, _HELD))[rows]
     faces = triangles.numpy()
-    fixed = np.zeros(count, bool)
-    fixed[faces] = True
-    fixed &= mesh.fixed.cpu().numpy()
+    used = np.zeros(count, bool)
+    used[faces] = True
+    fixed = used & mesh.fixed.cpu().numpy()
     of_piece = np.zeros(count, np.int64)
     of_piece[faces] = piece[:, None]
-    found = list(_duplicates(points, of_piece, fixed))
-    found += _crossings(points, edges, border, of_piece, fixed)
+    found = _first(_duplicates(points, of_piece, fixed), most)
+    if keep:
+        on_rim = np.zeros(count, bool)
+        on_rim[ends[~inner].numpy()] = True
+        found += _first(_obstructions(points, faces, fixed, used & ~on_rim), most)
+    found += _crossings(points, edges, what, of_piece, fixed, most)
     if not found:
         own = np.repeat(region, 3)
-        rim = (twin.numpy() < 0) | (region[twin.numpy() // 3] != own)
-        for r in range(int(region.max()) + 1):
-            found += _nesting(points, ends.numpy()[rim & (own == r)], faces[region == r], fixed)
+        rim = ~inner.numpy() | (region[twin.numpy() // 3] != own)
+        # A triangle between held edges has been judged already.
+        judged = fixed[faces].all(1) & keep
+        for rim_rows, face_rows in zip(_grouped(own, rim), _grouped(region, ~judged), strict=True):
+            if len(face_rows):
+                found += _nesting(points, ends.numpy()[rim_rows], faces[face_rows], fixed)
     return found
+
+
+_BORDER, _CONSTRAINT, _HELD, _SINGLE = range(4)
+_NAMES = ("boundary edge", "constrained edge", "edge between fixed vertices")
+
+
+def _first(found: Iterable[_Found], most: int) -> list[_Found]:
+    """At most so many of each kind, which come one kind after the other."""
+    groups = itertools.groupby(found, key=lambda f: f[0])
+    return [f for _, group in groups for f in itertools.islice(group, most)]
+
+
+def _grouped(label: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
+    """For each label 0, 1, ... the rows that have it and are in `mask`."""
+    rows = np.flatnonzero(mask)
+    rows = rows[np.argsort(label[rows], kind="stable")]
+    return np.split(rows, np.searchsorted(label[rows], np.arange(1, int(label.max(initial=-1)) + 1)))
+
+
+def _obstructions(points: np.ndarray, faces: np.ndarray, fixed: np.ndarray, inner: np.ndarray) -> Iterator[_Found]:
+    """What stands in the way of the triangles as they are."""
+    for row in fallen_fixed_triangles(points, faces, fixed).tolist():
+        place = _at(points[faces[row]].mean(0))
+        text = (
+            f"triangles row {row} {faces[row].tolist()} at {_text(place)} has three fixed vertices, and is not upright"
+        )
+        yield ProblemKind.FIXED_TRIANGLE, text, tuple(faces[row].tolist()), place
+    for v in vertices_without_kernel(points, faces, fixed, inner).tolist():
+        ring = np.setdiff1d(faces[(faces == v).any(1)], [v])
+        place = _at(points[ring].mean(0))
+        text = f"the vertices round vertex {v}, near {_text(place)}, are fixed and leave it no place"
+        yield ProblemKind.NO_KERNEL, text, (v,), place
 
 
 def _duplicates(points: np.ndarray, of_piece: np.ndarray, fixed: np.ndarray) -> Iterator[_Found]:
@@ -102,28 +163,60 @@ def _duplicates(points: np.ndarray, of_piece: np.ndarray, fixed: np.ndarray) -> 
 
 
 def _crossings(
-    points: np.ndarray, edges: np.ndarray, border: np.ndarray, of_piece: np.ndarray, fixed: np.ndarray
-) -> Iterator[_Found]:
-    """Boundary edges, constrained edges and fixed vertices of one piece that meet where they should not."""
+    points: np.ndarray, edges: np.ndarray, what: np.ndarray, of_piece: np.ndarray, fixed: np.ndarray, most: int
+) -> list[_Found]:
+    """Boundary edges, held edges and fixed vertices of one piece that meet where they should not."""
     single = fixed.copy()
     single[edges] = False
-    single = np.flatnonzero(single)
-    segments = np.concatenate([edges, np.stack([single, single], 1)])
-    kinds = np.concatenate([np.where(border, 0, 1), np.full(len(single), 2)])
-    for i, j in crossing_pairs(points, segments, of_piece[segments[:, 0]]).tolist():
-        (a, b), (c, d) = segments[[i, j]].tolist()
-        if any((points[p] == points[q]).all() for p in (a, b) for q in (c, d) if p != q):
-            continue  # told as duplicate vertices
-        place = _at(points[c]) if c == d else _meeting_place(points, (a, b), (c, d))
-        one = ("boundary edge", "constrained edge")[kinds[i]]
-        if kinds[j] == 2:
-            text = f"the fixed vertex {c} lies on the {one} [{a}, {b}] at {_text(place)}"
-            yield ProblemKind.VERTEX_OUTSIDE, text, (c, a, b), place
+    # Vertices in one place have been told: the first stands for all, so that no pair is told again.
+    first = _first_in_place(points, of_piece, np.flatnonzero(fixed))
+    segments = np.concatenate(
+        [first[edges], np.repeat(np.flatnonzero(single & (first == np.arange(len(first)))), 2).reshape(-1, 2)]
+    )
+    given = np.concatenate([edges, segments[len(edges) :]])
+    kinds = np.concatenate([what, np.full(len(segments) - len(edges), _SINGLE)])
+    proper = (segments[:, 0] != segments[:, 1]) | (kinds == _SINGLE)
+    _, rows = np.unique(np.sort(segments, 1), axis=0, return_index=True)
+    rows = np.sort(rows[proper[rows]])
+    segments, given, kinds = segments[rows], given[rows], kinds[rows]
+    found: list[_Found] = []
+    told = dict.fromkeys(ProblemKind, 0)
+    group = of_piece[segments[:, 0]]
+    among_edges = np.flatnonzero(kinds != _SINGLE)
+    pairs = among_edges[crossing_pairs(points, segments[among_edges], group[among_edges], enough=10 * most)]
+    if len(pairs) < most:
+        pairs = crossing_pairs(points, segments, group, enough=10 * most)
+    for i, j in pairs.tolist():
+        (a, b), (c, d) = given[[i, j]].tolist()
+        kind = (
+            ProblemKind.VERTEX_OUTSIDE
+            if kinds[j] == _SINGLE
+            else (ProblemKind.BOUNDARY_CROSSING, ProblemKind.CONSTRAINT_CROSSING, ProblemKind.FIXED_EDGE)[
+                max(kinds[i], kinds[j])
+            ]
+        )
+        told[kind] += 1
+        if told[kind] > most:
             continue
-        two = ("boundary edge", "constrained edge")[kinds[j]]
-        kind = ProblemKind.CONSTRAINT_CROSSING if kinds[i] or kinds[j] else ProblemKind.BOUNDARY_CROSSING
-        text = f"the {one} [{a}, {b}] and the {two} [{c}, {d}] meet at about {_text(place)}"
-        yield kind, text, (a, b, c, d), place
+        place = _at(points[c]) if c == d else _meeting_place(points, (a, b), (c, d))
+        if kinds[j] == _SINGLE:
+            text = f"the fixed vertex {c} lies on the {_NAMES[kinds[i]]} [{a}, {b}] at {_text(place)}"
+            found.append((kind, text, (c, a, b), place))
+            continue
+        text = f"the {_NAMES[kinds[i]]} [{a}, {b}] and the {_NAMES[kinds[j]]} [{c}, {d}] meet at about {_text(place)}"
+        found.append((kind, text, (a, b, c, d), place))
+    return found
+
+
+def _first_in_place(points: np.ndarray, of_piece: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(V,) for the vertices `rows` the first of them in the same place of the same piece, for others themselves."""
+    first = np.arange(len(points))
+    rows = rows[np.lexsort((rows, points[rows, 1], points[rows, 0], of_piece[rows]))]
+    if len(rows):
+        new = (points[rows[1:]] != points[rows[:-1]]).any(1) | (of_piece[rows[1:]] != of_piece[rows[:-1]])
+        starts = np.concatenate([[True], new])
+        first[rows] = rows[starts][np.cumsum(starts) - 1]
+    return first
 
 
 def _nesting(points: np.ndarray, rim: np.ndarray, faces: np.ndarray, fixed: np.ndarray) -> Iterator[_Found]:

@@ -13,6 +13,8 @@ from .insertion import Obstacle, Triangulation, signs
 
 # Rows of a vertices-times-edges table worked on at once.
 _CHUNK = 2_000_000
+# Pairs of segments judged at once.
+_PAIRS = 100_000
 
 
 def unit_exponent(points: np.ndarray) -> int:
@@ -32,11 +34,13 @@ def loop_edges(loop: np.ndarray) -> np.ndarray:
     return np.stack([loop, np.roll(loop, -1)], 1)
 
 
-def crossing_pairs(points: np.ndarray, segments: np.ndarray, group: np.ndarray | None = None) -> np.ndarray:
+def crossing_pairs(
+    points: np.ndarray, segments: np.ndarray, group: np.ndarray | None = None, enough: int | None = None
+) -> np.ndarray:
     """(P, 2) the pairs of rows of `segments` (S, 2) that meet other than in a vertex both have.
 
     They cross, touch, overlap, or end in different vertices at one place.  `group` (S,): only pairs
-    of the same group are looked at.
+    of the same group are looked at.  `enough`: having found so many pairs, look no further.
     """
     if len(segments) < 2:
         return np.zeros((0, 2), np.int64)
@@ -50,8 +54,19 @@ def crossing_pairs(points: np.ndarray, segments: np.ndarray, group: np.ndarray |
     i, j = i[near], j[near]
     # Boxes computed again here: what GEOS does with zero-width boxes need not concern us.
     near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(1)
-    i, j = i[near], j[near]
-    (a, b), (c, d) = segments[i].T, segments[j].T
+    pairs = np.stack([i[near], j[near]], 1).astype(np.int64)
+    found: list[np.ndarray] = []
+    for start in range(0, len(pairs), _PAIRS):
+        part = pairs[start : start + _PAIRS]
+        found.append(part[_meet(points, segments[part[:, 0]], segments[part[:, 1]])])
+        if enough is not None and sum(map(len, found)) >= enough:
+            break
+    return np.concatenate(found) if found else pairs
+
+
+def _meet(points: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """(P,) bool: the segments `one` and `two` (P, 2), whose boxes overlap, meet as in `crossing_pairs`."""
+    (a, b), (c, d) = one.T, two.T
     c_side, d_side = signs(points, a, b, c), signs(points, a, b, d)
     a_side, b_side = signs(points, c, d, a), signs(points, c, d, b)
     meet = (c_side * d_side <= 0) & (a_side * b_side <= 0)
@@ -60,11 +75,10 @@ def crossing_pairs(points: np.ndarray, segments: np.ndarray, group: np.ndarray |
     # Two edges with one common vertex meet elsewhere only if they run the same way from it.
     for at, p, q in ((a == c, b, d), (a == d, b, c), (b == c, a, d), (b == d, a, c)):
         origin = np.where((a == c) | (a == d), a, b)
-        one, two = points[p] - points[origin], points[q] - points[origin]
-        same_way = (np.sign(one) == np.sign(two)).all(1)
+        one_way, other_way = points[p] - points[origin], points[q] - points[origin]
+        same_way = (np.sign(one_way) == np.sign(other_way)).all(1)
         meet = np.where(at & (shared == 1), flat & same_way, meet)
-    meet |= shared == 2
-    return np.stack([i[meet], j[meet]], 1).astype(np.int64)
+    return meet | (shared == 2)
 
 
 def turns_left(points: np.ndarray, loop: np.ndarray) -> int:
