@@ -18,7 +18,7 @@ from typing import Annotated
 
 import typer
 
-from . import command_batch, console, motions
+from . import command_batch, command_generate, console, motions
 from .choices import (
     BetaOption,
     Boundary,
@@ -383,6 +383,7 @@ def reproduce(
 
 
 _command(*command_batch.EXAMPLES)(command_batch.batch)
+_command(*command_generate.EXAMPLES)(command_generate.generate)
 
 
 # --- around the work -------------------------------------------------------------------------------
