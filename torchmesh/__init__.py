@@ -29,6 +29,7 @@ from .warping import femwarp, relax
 
 if TYPE_CHECKING:
     from . import datasets, domains, losses, nn
+    from .page import report_page
     from .pyg import from_pyg, to_pyg
     from .storage import BatchFile, BatchWriter, load_batch, load_fields, save_batch
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 _LAZY_MODULES = ("datasets", "domains", "losses", "nn")
 _LAZY_NAMES = {
     "from_pyg": "pyg",
+    "report_page": "page",
     "to_pyg": "pyg",
     "BatchFile": "storage",
     "BatchWriter": "storage",
@@ -107,6 +109,7 @@ __all__ = [
     "minimum_angle",
     "quality",
     "relax",
+    "report_page",
     "smooth",
     "untangle",
 ]

@@ -319,7 +319,7 @@ def _ratio_histogram(ax: Any, before: Quality, after: Quality) -> None:
 
 def _angle_histogram(ax: Any, before: MeshBatch, after: MeshBatch, before_q: Quality, after_q: Quality) -> None:
     pairs = ((before, before_q, _style_before()), (after, after_q, _style_after()))
-    values = [_signed_minimum_angles(mesh, q) for mesh, q, _ in pairs]
+    values = [signed_minimum_angles(mesh, q) for mesh, q, _ in pairs]
     floor = -60.0 if min(float(v.min()) for v in values) < 0 else 0.0
     for value, (_, _, style) in zip(values, pairs, strict=True):
         ax.hist(value, np.arange(floor, 60.1, 2.0), log=True, **style)
@@ -348,7 +348,8 @@ def _style_after() -> dict[str, Any]:
     return {"histtype": "step", "color": _AFTER, "linewidth": 1.6, "label": "after"}
 
 
-def _signed_minimum_angles(mesh: MeshBatch, quality: Quality) -> np.ndarray:
+def signed_minimum_angles(mesh: MeshBatch, quality: Quality) -> np.ndarray:
+    """(T,) float64 smallest angle of each triangle in degrees, negative where it is not upright."""
     at = angles(corners(mesh.points.detach().to(torch.float64), mesh.triangles))
     smallest = torch.rad2deg(torch.minimum(torch.minimum(at[0], at[1]), at[2]))
     return torch.where(quality.upright, smallest, -smallest).clamp(-60.0, 60.0).cpu().numpy()
