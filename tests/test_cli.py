@@ -133,8 +133,8 @@ def test_improve_writes_a_valid_mesh_a_report_and_a_picture(folder):
     assert (folder / "p.png").stat().st_size > 50_000
     report = json.loads((folder / "r.json").read_text(), parse_constant=pytest.fail)
     assert set(report) >= {
-        "torchmesh", "input", "output", "method", "topology", "boundary", "beta", "seconds", "before", "after", "status",
-        "message", "valid", "steps",
+        "torchmesh", "input", "output", "method", "topology", "boundary", "beta", "seconds", "before", "after",
+        "status", "message", "valid", "steps",
     }  # fmt: skip
     assert (report["input"], report["output"]) == ("tangled.vtk", "out.vtu")
     assert (report["method"], report["topology"], report["beta"]) == ("default", "flip", None)
@@ -268,6 +268,18 @@ def test_an_interrupt_leaves_nothing_behind(folder):
     assert time.perf_counter() - started < 30
     assert names(folder) == before
     assert (folder / "out.vtu").read_text() == "what was there before"
+
+
+def test_boundaries_slide_on_request(call, folder):
+    done = call("improve", "tangled.vtk", "out.vtk", "--boundary", "slide", "--report", "r.json")
+    assert (done.status, done.err) == (0, "")
+    before, after = read(folder / "tangled.vtk"), read(folder / "out.vtk")
+    assert not np.array_equal(before.points[before.fixed], after.points[before.fixed])
+    assert json.loads((folder / "r.json").read_text())["boundary"] == "slide"
+    assert call("improve", "tangled.vtk", "kept.vtk").status == 0
+    kept = read(folder / "kept.vtk")
+    assert np.array_equal(before.points[before.fixed], kept.points[before.fixed])
+    assert quality(after).mean.item() < quality(kept).mean.item()
 
 
 # --- quality -----------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import meshes
 import meshio
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import torch
 
 from torchmesh import MeshBatch, formats, join
 from torchmesh.errors import InvalidMeshError, MeshError, MeshIOError, MeshWarning, MissingDependencyError
-from torchmesh.io import read, write
+from torchmesh.io import held, read, write
 
 N = 5  # vertices along a side of the small grid
 LEFT, RIGHT = 1, 2
@@ -995,3 +996,33 @@ def test_a_region_tag_in_a_column_of_its_own_is_a_region_tag(tmp_path):
     path = tmp_path / "tags.vtu"
     meshio.Mesh(np.c_[points, np.zeros(6)], [("triangle", cells)], cell_data={"CellEntityIds": [tags]}).write(path)
     assert {frozenset(edge) for edge in read(path).constrained_edges.tolist()} == {frozenset((1, 2))}
+
+
+# --- what must not slide -----------------------------------------------------------------------------
+
+
+def test_held_are_quads_and_seams_between_markers_and_what_is_marked(tmp_path):
+    points, triangles = meshes.grid_arrays(4, 4)
+    quads = [("quad", np.array([[0, 1, 6, 5]]))]
+    triangles = triangles[~np.isin(triangles, [0, 1, 6, 5]).all(1)]
+    bottom, top = np.array([[10, 15], [15, 20]]), np.array([[4, 9], [9, 14], [14, 19], [19, 24]])
+    tags = [np.full(len(triangles), 1), np.array([1]), np.array([2, 3]), np.array([4, 4, 4, 4])]
+    mesh = meshio.Mesh(
+        np.pad(points, ((0, 0), (0, 1))),
+        [("triangle", triangles), *quads, ("line", bottom), ("line", top)],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+    )
+    mesh.write(tmp_path / "a.msh", file_format="gmsh22")
+    assert held(tmp_path / "a.msh").nonzero().squeeze(1).tolist() == [0, 1, 5, 6, 15]
+    mesh.point_data["fixed"] = np.arange(25) == 22
+    mesh.point_data["fixed"] = mesh.point_data["fixed"].astype(float)
+    mesh.write(tmp_path / "b.msh", file_format="gmsh22")
+    assert held(tmp_path / "b.msh").nonzero().squeeze(1).tolist() == [0, 1, 5, 6, 15, 22]
+
+
+def test_a_file_that_marks_the_whole_boundary_holds_none_of_it(tmp_path):
+    mesh = meshes.grid()
+    inner = MeshBatch.from_arrays(mesh.points, mesh.triangles, torch.arange(len(mesh.points)) == 8)
+    write(tmp_path / "a.vtu", inner)
+    assert bool(meshio.read(tmp_path / "a.vtu").point_data["fixed"].any())
+    assert not bool(held(tmp_path / "a.vtu").any())
