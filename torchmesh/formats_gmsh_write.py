@@ -8,6 +8,7 @@ import meshio
 import numpy as np
 
 from .formats_gmsh import DATA, KINDS, NUMBERS, TAGS, Elements, MshFile, Nodes, data_name, entity_groups, physical_names
+from .formats_text import number_lines
 
 
 def write(path: str, mesh: meshio.Mesh, file: MshFile) -> None:
@@ -97,7 +98,12 @@ def fresh(mesh: meshio.Mesh, version: str, binary: bool, like: MshFile | None) -
 
 def _text(table: np.ndarray) -> bytes:
     """The rows as text, each number as short as gives it back to the bit."""
-    return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
+    return "".join(number_lines(table)).encode()
+
+
+def _numbered(numbers: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """The rows with their whole numbers in front, as Python's own numbers."""
+    return np.column_stack([numbers.astype(object), table.astype(object)])
 
 
 def _pack(binary: bool, *parts: tuple[Any, Any]) -> bytes:
@@ -138,8 +144,7 @@ def _write_nodes_22(blocks: list[Nodes], file: MshFile) -> bytes:
     numbers, at = blocks[0].numbers, blocks[0].coordinates
     head = b"%d\n" % len(numbers)
     if not file.binary:
-        lines = zip(numbers.tolist(), at.tolist(), strict=True)
-        return head + "".join(f"{n} {x!r} {y!r} {z!r}\n" for n, (x, y, z) in lines).encode()
+        return head + _text(_numbered(numbers, at))
     table = np.empty(len(numbers), [("number", np.int32), ("at", float, 3)])
     table["number"], table["at"] = numbers, at
     return head + table.tobytes() + b"\n"
@@ -176,8 +181,7 @@ def _write_data(name: str, numbers: np.ndarray, values: np.ndarray, binary: bool
     table = np.pad(table, ((0, 0), (0, missing)))
     head = f'1\n"{name}"\n1\n0.0\n3\n0\n{table.shape[1]}\n{len(table)}\n'.encode()
     if not binary:
-        lines = zip(numbers.tolist(), table.tolist(), strict=True)
-        return head + "".join(f"{n} {' '.join(map(repr, row))}\n" for n, row in lines).encode()
+        return head + _text(_numbered(numbers, table))
     packed = np.empty(len(table), [("number", np.int32), ("values", float, (table.shape[1],))])
     packed["number"], packed["values"] = numbers, table
     return head + packed.tobytes() + b"\n"

@@ -4,7 +4,9 @@ A mesh read here remembers the file's lines, so that what torchmesh has no use f
 materials, texture coordinates, normals, comments) is written back as it was.
 """
 
+import itertools
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -23,11 +25,14 @@ def read_su2(path: str) -> tuple[meshio.Mesh, list[str]]:
     not a complete planar SU2 mesh.
     """
     with open(path, encoding="utf-8", errors="surrogateescape") as stream:
-        lines = iter(stream.read().splitlines())
+        return _su2_of(stream)
+
+
+def _su2_of(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
+    """From the file's lines, of which no more are held at a time than a section has."""
     points: np.ndarray | None = None
     rest: list[str] = []
-    cells: list[tuple[str, list[list[int]]]] = []
-    tags: list[int] = []
+    cells: list[tuple[str, int, np.ndarray]] = []
     names: dict[str, int] = {}
     tag = markers = found = 0
     for line in lines:
@@ -40,8 +45,11 @@ def read_su2(path: str) -> tuple[meshio.Mesh, list[str]]:
             if int(value) != 1:
                 raise ValueError("it has several zones; give each zone its own file")
         elif key == "NPOIN":
-            table = [row.split()[:2] for row in _rows(lines, int(value.split()[0]), "NPOIN")]
-            points = np.array(table, float).reshape(len(table), 2)
+            rows = _rows(lines, int(value.split()[0]), "NPOIN")
+            numbers, starts, widths = _numbers(rows, "NPOIN")
+            if len(rows) and widths.min() < 2:
+                raise ValueError(f"a point needs two coordinates: {rows[int(widths.argmin())].strip()!r}")
+            points = numbers[starts[:, None] + np.arange(2)]
         elif key == "NMARK":
             markers = int(value)
         elif key == "MARKER_TAG":
@@ -53,39 +61,91 @@ def read_su2(path: str) -> tuple[meshio.Mesh, list[str]]:
                 names[name] = number
             tag = names[name]
         elif key in ("NELEM", "MARKER_ELEMS"):
-            for row in _rows(lines, int(value), key):
-                kind, *nodes = [int(word) for word in row.split()]
-                if kind not in _SU2_KINDS:
-                    raise ValueError(f"element type {kind} is not planar or not known")
-                name, width = _SU2_KINDS[kind]
-                if len(nodes) < width:
-                    raise ValueError(f"an element of type {kind} needs {width} points: {row.strip()!r}")
-                own = tag if key == "MARKER_ELEMS" else 0
-                if not cells or (cells[-1][0], tags[-1]) != (name, own):
-                    cells.append((name, []))
-                    tags.append(own)
-                cells[-1][1].append(nodes[:width])
+            own = tag if key == "MARKER_ELEMS" else 0
+            for kind, nodes in _su2_elements(_rows(lines, int(value), key), key):
+                if cells and cells[-1][:2] == (kind, own):
+                    nodes = np.concatenate([cells.pop()[2], nodes])
+                cells.append((kind, own, nodes))
         elif line.strip():
-            rest.append(line)
+            rest.append(line.rstrip("\n"))
     if points is None or not cells:
         raise ValueError("it has no NPOIN or no NELEM section")
     if found != markers:
         raise ValueError(f"NMARK says {markers} markers, the file has {found}")
-    blocks = [(name, np.array(rows, np.int64)) for name, rows in cells]
-    data = {"su2:tag": [np.full(len(rows), t) for (_, rows), t in zip(blocks, tags, strict=True)]}
-    return meshio.Mesh(points, blocks, cell_data=data, field_data={n: np.array([t, 1]) for n, t in names.items()}), rest
+    data = {"su2:tag": [np.full(len(nodes), own) for _, own, nodes in cells]}
+    groups = {name: np.array([number, 1]) for name, number in names.items()}
+    return meshio.Mesh(points, [(k, nodes) for k, _, nodes in cells], cell_data=data, field_data=groups), rest
+
+
+def _su2_elements(rows: list[str], section: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Runs of elements of one kind: its name and (n, width) nodes."""
+    numbers, starts, widths = _numbers(rows, section)
+    kinds = numbers[starts]
+    ends = [0, *(1 + np.flatnonzero(np.diff(kinds))).tolist(), len(rows)]
+    for begin, end in itertools.pairwise(ends):
+        if begin == end:
+            continue
+        kind = int(kinds[begin])
+        if kind not in _SU2_KINDS:
+            raise ValueError(f"element type {kind} is not planar or not known")
+        name, width = _SU2_KINDS[kind]
+        short = widths[begin:end] < 1 + width
+        if short.any():
+            row = rows[begin + int(short.argmax())].strip()
+            raise ValueError(f"an element of type {kind} needs {width} points: {row!r}")
+        nodes = numbers[starts[begin:end, None] + 1 + np.arange(width)]
+        if (nodes != np.floor(nodes)).any():
+            row = rows[begin + int((nodes != np.floor(nodes)).any(1).argmax())].strip()
+            raise ValueError(f"the points of an element are whole numbers: {row!r}")
+        yield name, nodes.astype(np.int64)
+
+
+def _numbers(rows: list[str], section: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All numbers of the rows, where each row begins among them, and how many it has."""
+    widths = np.fromiter((len(row.split()) for row in rows), np.int64, len(rows))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            numbers = np.fromstring(" ".join(rows), sep=" ") if rows else np.zeros(0)
+            complete = len(numbers) == widths.sum()
+        except (DeprecationWarning, ValueError):
+            complete = False
+    if not complete:
+        raise ValueError(f"{section} has a row that is not numbers: {_not_numbers(rows)!r}")
+    return numbers, np.cumsum(widths) - widths, widths
+
+
+def _not_numbers(rows: list[str]) -> str:
+    """The first row that is not numbers only."""
+    for row in rows:
+        try:
+            [float(word) for word in row.split()]
+        except ValueError:
+            return row.strip()
+    return ""
 
 
 def _rows(lines: Iterator[str], count: int, section: str) -> list[str]:
-    """The next `count` lines that hold something."""
+    """The next `count` lines that hold something, without the remarks at their ends."""
     rows: list[str] = []
     while len(rows) < count:
-        line = next(lines, None)
-        if line is None:
+        more = list(itertools.islice(lines, count - len(rows)))
+        if not more:
             raise ValueError(f"{section} says {count}, the file ends after {len(rows)}")
-        if line.strip() and not line.lstrip().startswith("%"):
-            rows.append(line)
+        more = [line.split("%", 1)[0] if "%" in line else line for line in more]
+        rows += [line for line in more if not line.isspace() and line]
     return rows
+
+
+def number_lines(table: np.ndarray, before: str = "") -> Iterator[str]:
+    """The rows (n, m) as lines of text, `before` in front of each, some thousands at a time.
+
+    Each number is as short as gives it back to the bit.
+    """
+    line = before + " ".join(["%r"] * table.shape[1]) + "\n"
+    for start in range(0, len(table), 1 << 14):
+        part = table[start : start + (1 << 14)]
+        yield line * len(part) % tuple(part.reshape(-1).tolist())
 
 
 def write_su2(path: str, mesh: meshio.Mesh, rest: list[str]) -> None:
@@ -93,23 +153,29 @@ def write_su2(path: str, mesh: meshio.Mesh, rest: list[str]) -> None:
     key = next((k for k in ("su2:tag", "gmsh:physical") if k in mesh.cell_data), None)
     key = key or next((k for k, v in mesh.cell_data.items() if all(np.asarray(b).dtype.kind in "iu" for b in v)), None)
     names = {int(v[0]): name for name, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 1}
-    body: list[str] = []
+    inner = [block for block in mesh.cells if block.type in ("triangle", "quad")]
     members: dict[int, list[str]] = {tag: [] for tag in names}
+    counts = dict.fromkeys(names, 0)
     for i, block in enumerate(mesh.cells):
-        rows = [f"{_SU2_NUMBERS[block.type]} {' '.join(map(str, row))}" for row in block.data.tolist()]
         if block.type in ("triangle", "quad"):
-            body += rows
             continue
-        tags = mesh.cell_data[key][i].tolist() if key else [1] * len(rows)
-        for tag, row in zip(tags, rows, strict=True):
-            members.setdefault(tag, []).append(row)
-    lines = ["NDIME= 2", f"NELEM= {len(body)}", *body, f"NPOIN= {len(mesh.points)}"]
-    lines += [f"{x!r} {y!r}" for x, y in mesh.points.tolist()]
-    lines.append(f"NMARK= {len(members)}")
-    for tag, rows in members.items():
-        lines += [f"MARKER_TAG= {'_'.join(names.get(tag, str(tag)).split())}", f"MARKER_ELEMS= {len(rows)}", *rows]
+        tags = np.asarray(mesh.cell_data[key][i]) if key else np.ones(len(block.data), np.int64)
+        for tag in dict.fromkeys(tags.tolist()):
+            rows = block.data[tags == tag]
+            members.setdefault(tag, []).extend(number_lines(rows, f"{_SU2_NUMBERS[block.type]} "))
+            counts[tag] = counts.get(tag, 0) + len(rows)
     with open(path, "w", encoding="utf-8", errors="surrogateescape") as stream:
-        stream.write("\n".join(lines + rest) + "\n")
+        stream.write(f"NDIME= 2\nNELEM= {sum(len(block.data) for block in inner)}\n")
+        for block in inner:
+            stream.writelines(number_lines(block.data, f"{_SU2_NUMBERS[block.type]} "))
+        stream.write(f"NPOIN= {len(mesh.points)}\n")
+        stream.writelines(number_lines(np.asarray(mesh.points)))
+        stream.write(f"NMARK= {len(members)}\n")
+        for tag, lines in members.items():
+            name = "_".join(names.get(tag, str(tag)).split())
+            stream.write(f"MARKER_TAG= {name}\nMARKER_ELEMS= {counts[tag]}\n")
+            stream.writelines(lines)
+        stream.writelines(line + "\n" for line in rest)
 
 
 @dataclass(frozen=True)
