@@ -17,12 +17,12 @@ from torch import Tensor
 
 def next_in_triangle(h: Tensor) -> Tensor:
     """The half-edge after h in its triangle."""
-    return torch.where(h % 3 == 2, h - 2, h + 1)
+    return h + 1 - 3 * (h.fmod(3) == 2)
 
 
 def previous_in_triangle(h: Tensor) -> Tensor:
     """The half-edge before h in its triangle."""
-    return torch.where(h % 3 == 0, h + 2, h - 1)
+    return h - 1 + 3 * (h.fmod(3) == 0)
 
 
 def tails(triangles: Tensor) -> Tensor:

@@ -82,7 +82,7 @@ def kim_rule(q: Quads) -> tuple[Tensor, Tensor]:
     total = opposite_angle_rank(q)
     eligible = total > 2 - 1e-12
     rows = eligible.nonzero().squeeze(1)
-    few = Quads(*(v[rows] for v in q))
+    few = _some(q, rows)
     left, right = old_signs(few)
     upright = (left > 0) & (right > 0)
     inside = incircle(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy, few.rx, few.ry) > 0
@@ -106,7 +106,7 @@ def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
     rank = _cotangent_deficit(q)
     eligible = upright & delaunay
     rows = (eligible | ~upright).nonzero().squeeze(1)
-    few = Quads(*(v[rows] for v in q))
+    few = _some(q, rows)
     first, second = new_signs(few)
     made_upright = (first > 0) & (second > 0)
     before = [_double_area(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy)]
@@ -135,16 +135,20 @@ def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
     """
     near = _cotangent_deficit(q) > -0.5
     rows = near.nonzero().squeeze(1)
-    few = Quads(*(v[rows] for v in q))
+    few = _some(q, rows)
     gain = _pair_energy(few, False) - _pair_energy(few, True)
     wins = (gain > 1e-10).nonzero().squeeze(1)
-    fewer = Quads(*(v[wins] for v in few))
+    fewer = _some(few, wins)
     legal = torch.stack(old_signs(fewer) + new_signs(fewer)).amin(0) > 0
     eligible = torch.zeros_like(near)
     eligible[rows[wins[legal]]] = True
     rank = torch.zeros_like(q.ux)
     rank[rows] = gain
     return eligible, rank
+
+
+def _some(q: Quads, rows: Tensor) -> Quads:
+    return Quads(*(v.index_select(0, rows) for v in q))
 
 
 def _pair_energy(q: Quads, flipped: bool) -> Tensor:
@@ -158,21 +162,21 @@ def _pair_energy(q: Quads, flipped: bool) -> Tensor:
 
 def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> Tensor:
     """(N,) bool: does the fan of triangles round the tail of each half-edge `start` (N,) have an edge to `target`."""
+    gather = torch.index_select
     found = torch.zeros(len(start), dtype=torch.bool, device=start.device)
     rows = torch.arange(len(start), device=start.device)
-    here = start
-    backward = []
+    here, goal = start, target
+    ends = []
     while len(rows):
         behind = previous_in_triangle(here)
-        goal = target[rows]
-        hit = (vertex[next_in_triangle(here)] == goal) | (vertex[behind] == goal)
+        hit = (gather(vertex, 0, next_in_triangle(here)) == goal) | (gather(vertex, 0, behind) == goal)
         found[rows[hit]] = True
-        onward = twin[behind]
-        open_end = ~hit & (onward < 0)
-        backward.append(rows[open_end])
-        going = ~hit & ~open_end & (onward != start[rows])
-        rows, here = rows[going], onward[going]
-    rows = torch.cat(backward) if backward else rows
+        onward = gather(twin, 0, behind)
+        ends.append(rows[~hit & (onward < 0)])
+        going = (~hit & (onward >= 0) & (onward != gather(start, 0, rows))).nonzero().squeeze(1)
+        rows, here, goal = gather(rows, 0, going), gather(onward, 0, going), gather(goal, 0, going)
+    # Where the fan is open at one end, on from the start the other way.
+    rows = torch.cat(ends) if ends else rows
     here = twin[start[rows]]
     while len(rows):
         inner = here >= 0
@@ -209,6 +213,7 @@ def flip_rounds(
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     vertex, twin, locked = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
     moved = torch.arange(len(vertex), device=vertex.device)
+    before = moved.reshape(-1, 3).roll(1, 1).reshape(-1)
     best = torch.full((len(triangles),), len(vertex), dtype=torch.int64, device=vertex.device)
     pinched = torch.bincount(vertex[twin < 0], minlength=len(points)) > 1
     log = []
@@ -218,8 +223,8 @@ def flip_rounds(
         corner = (around.nonzero() * 3 + torch.arange(3, device=around.device)).reshape(-1)
         queue = _canonical(corner, twin)
     for _ in range(max_rounds):
-        queue = queue[~locked[queue]]
-        h, rank, barred = _eligible(x, y, vertex, twin, pinched, queue, rule)
+        queue = queue[~locked.index_select(0, queue)]
+        h, rank, barred = _eligible(x, y, vertex, twin, before, pinched, queue, rule)
         if not len(h):
             break
         # Equal ranks stay in the order of their index: h ascends and the sort is stable.
@@ -230,7 +235,7 @@ def flip_rounds(
         log.append(torch.minimum(flipped // 3, twin[flipped] // 3))
         g = twin[flipped]
         _flip(vertex, twin, locked, moved, flipped, g, once)
-        outer = torch.cat([flipped, previous_in_triangle(flipped), g, previous_in_triangle(g)])
+        outer = torch.cat([flipped, before[flipped], g, before[g]])
         queue = _canonical(torch.cat([moved[left], moved[barred], outer]), twin)
         for h_slot in (next_in_triangle(flipped), next_in_triangle(g)):
             moved[h_slot] = h_slot
@@ -263,25 +268,26 @@ def _canonical(h: Tensor, twin: Tensor) -> Tensor:
 
 
 def _eligible(
-    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, pinched: Tensor, queue: Tensor, rule: Rule
+    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, before: Tensor, pinched: Tensor, queue: Tensor, rule: Rule
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The half-edges of the queue that the rule wants flipped and that may be, with their rank.
 
     And those it wants flipped whose new edge is there already: they wait until it goes.
+    before   (3T,) int64, the half-edge before each in its triangle
     pinched  (V,) bool, the vertices where several fans of triangles meet
     """
     rows, ranks = [], []
     for start in range(0, len(queue), _CHUNK):
         part = queue[start : start + _CHUNK]
-        wanted, rank = _ask(x, y, vertex, twin, part, rule)
+        wanted, rank = _ask(x, y, vertex, twin, before, part, rule)
         rows.append(part[wanted])
         ranks.append(rank[wanted])
     h, rank = torch.cat(rows or [queue]), torch.cat(ranks or [x[:0]])
     g = twin[h]
-    s, r = vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
+    s, r = vertex[before[h]], vertex[before[g]]
     # Walking one fan tells all edges of a vertex that has only one.
     from_r = pinched[s]
-    begin = previous_in_triangle(torch.where(from_r, g, h))
+    begin = before[torch.where(from_r, g, h)]
     exists = edge_exists(vertex, twin, begin, torch.where(from_r, s, r)) | (pinched[s] & pinched[r])
     return h[~exists], rank[~exists], h[exists]
 
@@ -290,12 +296,14 @@ def _eligible(
 _CHUNK = 32768
 
 
-def _ask(x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, h: Tensor, rule: Rule) -> tuple[Tensor, Tensor]:
+def _ask(
+    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, before: Tensor, h: Tensor, rule: Rule
+) -> tuple[Tensor, Tensor]:
     """What the rule says of the half-edges h; never to flip an edge whose two triangles share two edges."""
-    g = twin[h]
-    u, w = vertex[h], vertex[g]
-    s, r = vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
     gather = torch.index_select
+    g = gather(twin, 0, h)
+    u, w = gather(vertex, 0, h), gather(vertex, 0, g)
+    s, r = gather(vertex, 0, gather(before, 0, h)), gather(vertex, 0, gather(before, 0, g))
     quads = Quads(
         gather(x, 0, u), gather(y, 0, u), gather(x, 0, w), gather(y, 0, w),
         gather(x, 0, s), gather(y, 0, s), gather(x, 0, r), gather(y, 0, r),

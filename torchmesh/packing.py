@@ -90,39 +90,42 @@ def pack(points: Tensor, triangles: Tensor, free: Tensor, point_offsets: Tensor,
     device = points.device
     centre, unit = centre_and_unit(points, point_offsets)
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
-    touched = free[triangles].any(1)
+    gather = torch.index_select
+    corner = [v.contiguous() for v in triangles.unbind(1)]
+    touched = gather(free, 0, corner[0]) | gather(free, 0, corner[1]) | gather(free, 0, corner[2])
     kept = touched.nonzero().squeeze(1)
+    if len(kept) < len(triangles):
+        corner = [gather(v, 0, kept) for v in corner]
     vertices = free.nonzero().squeeze(1)
     counts = segment_count(free, point_offsets)
     blocks = (counts + BLOCK - 1) // BLOCK
     block_offsets = offsets_from_counts(2 * blocks)
-    start = spread(block_offsets[:-1] * BLOCK, offsets_from_counts(counts))
-    rank = torch.arange(len(vertices), device=device) - spread(
-        offsets_from_counts(counts)[:-1], offsets_from_counts(counts)
+    row_offsets = offsets_from_counts(counts)
+    x_rows = spread(block_offsets[:-1] * BLOCK - row_offsets[:-1], row_offsets) + torch.arange(
+        len(vertices), device=device
     )
-    x_rows = start + rank
-    y_rows = x_rows + spread(blocks * BLOCK, offsets_from_counts(counts))
+    y_rows = x_rows + spread(blocks * BLOCK, row_offsets)
     size = int(block_offsets[-1]) * BLOCK
+    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     unknowns = points.new_zeros(size)
-    unknowns[x_rows] = points[vertices, 0]
-    unknowns[y_rows] = points[vertices, 1]
-    faces = triangles[kept]
+    unknowns[x_rows] = gather(x, 0, vertices)
+    unknowns[y_rows] = gather(y, 0, vertices)
     needed = torch.zeros_like(free)
-    needed[faces.reshape(-1)] = True
+    for v in corner:
+        needed.index_fill_(0, v, True)
     needed &= ~free
     anchors = needed.nonzero().squeeze(1)
-    anchored = torch.cat([points[anchors, 0], points[anchors, 1]])
-    place_x = torch.zeros(len(points), dtype=torch.int64, device=device)
+    anchored = torch.cat([gather(x, 0, anchors), gather(y, 0, anchors)])
+    place_x = torch.zeros(len(points), dtype=torch.int32, device=device)
     place_y = torch.zeros_like(place_x)
-    place_x[vertices], place_y[vertices] = x_rows, y_rows
-    ordinal = torch.arange(len(anchors), device=device)
+    place_x[vertices], place_y[vertices] = x_rows.to(torch.int32), y_rows.to(torch.int32)
+    ordinal = torch.arange(len(anchors), dtype=torch.int32, device=device)
     place_x[anchors], place_y[anchors] = size + ordinal, size + len(anchors) + ordinal
-    a, b, c = faces.unbind(1)
-    rows = torch.stack([place_x[a], place_y[a], place_x[b], place_y[b], place_x[c], place_y[c]]).to(torch.int32)
+    rows = torch.stack([gather(place, 0, v) for v in corner for place in (place_x, place_y)])
     return Packing(
         unknowns, anchored, rows, x_rows, y_rows, vertices, kept, block_offsets,
         offsets_from_counts(segment_count(touched, triangle_offsets)), centre, unit,
-        segment_ids(offsets_from_counts(counts)),
+        segment_ids(row_offsets),
     )  # fmt: skip
 
 

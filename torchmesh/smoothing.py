@@ -146,7 +146,7 @@ def smooth(
 def vertex_size(batch: MeshBatch) -> Tensor:
     """(V,) root mean square edge length round each vertex, in the batch's unit; 0 for unused ones."""
     ab, bc, ca = squared_edge_lengths(corners(batch.points.to(torch.float64), batch.triangles))
-    a, b, c = batch.triangles.unbind(1)
+    a, b, c = (v.contiguous() for v in batch.triangles.unbind(1))
     total = ab.new_zeros(len(batch.points))
     total.index_add_(0, a, ab + ca).index_add_(0, b, ab + bc).index_add_(0, c, bc + ca)
     count = torch.bincount(batch.triangles.reshape(-1), minlength=len(batch.points)).clamp_min(1)

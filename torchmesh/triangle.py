@@ -27,7 +27,7 @@ class Corners(NamedTuple):
 def corners(points: Tensor, triangles: Tensor) -> Corners:
     """Corner coordinates of `triangles` (T, 3) over `points` (V, 2)."""
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
-    a, b, c = triangles.unbind(1)
+    a, b, c = (v.contiguous() for v in triangles.unbind(1))
     gather = torch.index_select
     return Corners(gather(x, 0, a), gather(y, 0, a), gather(x, 0, b), gather(y, 0, b), gather(x, 0, c), gather(y, 0, c))
 
