@@ -56,3 +56,12 @@ def test_every_command_and_name_exists():
     for names in re.findall(r"^\| `([^|]*)` \|", README, re.MULTILINE):
         for name in re.findall(r"\b[A-Za-z_]\w*(?=\(|`|$|\.)", names):
             assert hasattr(torchmesh, name) or hasattr(torchmesh.MeshBatch, name), name
+
+
+def test_table_of_formats_is_what_the_formats_keep(monkeypatch):
+    pytest.importorskip("netCDF4")
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    import format_table
+
+    shown = README.split("<!-- the table of experiments/format_table.py -->\n")[1].split("\n\n")[0]
+    assert shown.splitlines() == format_table.table()

@@ -207,8 +207,9 @@ def _quiet(path: Path, verb: str, form: str) -> Iterator[None]:
         raise
     except ImportError as error:
         package = (error.name or "a package").split(".")[0]
+        wheel = "'torchmesh-untangle[exodus]'" if package == "netCDF4" else package
         raise MissingDependencyError(
-            f"{path}: {form} files need the package {package}; install it (pip install {package})"
+            f"{path}: {form} files need the package {package}; install it (pip install {wheel})"
         ) from None
     except (Exception, SystemExit) as error:
         if isinstance(error, OSError) and error.errno and error.strerror:
