@@ -40,8 +40,34 @@ def read(path: str | os.PathLike[str]) -> MeshBatch:
     Raises MeshIOError (the file), InvalidMeshError (the mesh in it; both name the file), and
     MissingDependencyError (a package for the format).  MeshWarning tells of repairs.
     """
-    path = _path(path)
-    return _batch(Content.of(formats.load(path), path), path)
+    return Source.open(path).mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A file that was read, for whoever will write its mesh back: `write(..., like=source)` need not read it again.
+
+    path      where it is
+    document  all that is in it
+    content   what of that binds the triangles
+    mesh      the batch of one that `read` gives
+    """
+
+    path: Path
+    document: formats.Document
+    content: Content
+    mesh: MeshBatch
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> "Source":
+        """Raises and warns as `read` does."""
+        path = _path(path)
+        return cls.of(formats.load(path), path)
+
+    @classmethod
+    def of(cls, document: formats.Document, path: Path) -> "Source":
+        content = Content.of(document, path)
+        return cls(path, document, content, _batch(content, path))
 
 
 def held(path: str | os.PathLike[str]) -> torch.Tensor:
@@ -65,7 +91,7 @@ def held(path: str | os.PathLike[str]) -> torch.Tensor:
     return hold
 
 
-def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike[str] | None = None) -> None:
+def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike[str] | Source | None = None) -> None:
     """Writes a batch of one in the format of the path's extension, all or nothing.
 
     With `like`, the file the mesh was read from (it may be `path` itself), everything else of that
@@ -84,24 +110,29 @@ def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike
     path = _path(path)
     if len(mesh) != 1:
         raise InvalidMeshError(f"{path}: a file holds one mesh, this batch has {len(mesh)}: write each of mesh.split()")
-    mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     formats.format_of(path)
+    if like is not None and not isinstance(like, Source):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MeshWarning)  # they were given when the mesh was read
+            like = Source.open(like)
+    document, content, same_rows = content_for(path, mesh, like)
+    formats.save(path, content, document, same_rows)
+
+
+def content_for(path: Path, mesh: MeshBatch, like: Source | None) -> tuple[formats.Document | None, meshio.Mesh, bool]:
+    """What `formats.save` takes to write a batch of one at `path`; a MeshWarning names what is not carried over."""
+    mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     if like is None:
         document, content, same_rows = None, _fresh(mesh), False
     else:
-        like = _path(like)
-        document = formats.load(like)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)  # they were given when the mesh was read
-            content = Content.of(document, like)
-            carry = _Carry.plan(mesh, content, _batch(content, like))
-        content, dropped, same_rows = _carried(mesh, carry)
+        document = like.document
+        content, dropped, same_rows = _carried(mesh, _Carry.plan(mesh, like.content, like.mesh))
         dropped += formats.foreign(document, formats.format_of(path), same_rows)
         if dropped:
-            text = f"{path}: not carried over from {like}: {', '.join(dropped)}"
-            warnings.warn(MeshWarning(text), stacklevel=2)
+            text = f"{path}: not carried over from {like.path}: {', '.join(dropped)}"
+            warnings.warn(MeshWarning(text), stacklevel=3)
     content.points = _in_space(path, content.points, mesh, document)
-    formats.save(path, content, document, same_rows)
+    return document, content, same_rows
 
 
 def _path(path: str | os.PathLike[str]) -> Path:
