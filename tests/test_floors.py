@@ -24,7 +24,9 @@ FLOORS = [
     # 2
     ["mesh"],
     # 3
-    ["delaunay", "quality", "metrics", "pockets", "diagnosis", "paths", "genealogy", "sizing"],
+    ["quality"],
+    ["targets"],
+    ["delaunay", "metrics", "pockets", "diagnosis", "paths", "genealogy", "sizing"],
     ["warping", "pyg", "sliding"],
     ["smoothing"],
     ["untangling", "remeshing", "certificate"],
@@ -35,13 +37,13 @@ FLOORS = [
     ["formats"],
     ["file_content"],
     ["pipeline", "plotting", "io", "charts", "page_data"],
-    ["domains", "nn", "storage", "console", "deformation", "page"],
+    ["domains", "nn", "storage", "console", "deformation", "page", "animation", "pyvista_export"],
     ["reproduction", "datasets", "motions"],
     ["manifest", "choices"],
     ["batching"],
     ["workers"],
     ["files"],
-    ["command_batch", "command_generate"],
+    ["command_batch", "command_generate", "command_report"],
     # 5
     ["cli"],
     ["__init__", "__main__"],

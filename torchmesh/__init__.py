@@ -24,6 +24,7 @@ from .pipeline import ImproveOptions, Progress, Report, Step, improve
 from .quality import Quality, minimum_angle, quality
 from .smoothing import MoveInfo, SmoothOptions, smooth
 from .status import Status
+from .targets import MetricField, metric_from, target_from, target_quality
 from .untangling import UntangleOptions, untangle
 from .warping import femwarp, relax
 
@@ -90,6 +91,7 @@ __all__ = [
     "MeshError",
     "MeshIOError",
     "MeshWarning",
+    "MetricField",
     "MissingDependencyError",
     "MoveInfo",
     "Progress",
@@ -105,11 +107,14 @@ __all__ = [
     "improve",
     "improve_files",
     "join",
+    "metric_from",
     "metrics",
     "minimum_angle",
     "quality",
     "relax",
     "report_page",
     "smooth",
+    "target_from",
+    "target_quality",
     "untangle",
 ]

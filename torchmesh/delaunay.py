@@ -11,6 +11,7 @@ from .flipping import flip_rounds, kim_rule, safe_rule, shape_rule
 from .mesh import MeshBatch
 from .packing import centre_and_unit
 from .segments import spread
+from .targets import MetricField, MetricRule
 
 _RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
 
@@ -60,6 +61,7 @@ def flip_to_delaunay(
     *,
     twin: Tensor | None = None,
     around: Tensor | None = None,
+    metric: MetricField | None = None,
 ) -> tuple[MeshBatch, FlipInfo]:
     """Flip edges until every interior, unconstrained edge between upright triangles is Delaunay.
 
@@ -68,6 +70,7 @@ def flip_to_delaunay(
 
     twin    (3T,) twins of `batch`, if the caller has them
     around  (T,) bool, start from the edges of these triangles only
+    metric  flip, in place of the rule in the options, towards triangles that are equilateral in it
     """
     options = options or FlipOptions()
     twin = connectivity.twins(batch.triangles) if twin is None else twin
@@ -78,7 +81,7 @@ def flip_to_delaunay(
         batch.triangles,
         twin,
         constrained_half_edges(batch, twin),
-        _RULES[options.rule],
+        _RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
         once=options.once,
         max_rounds=options.max_rounds,
         around=around,

@@ -13,7 +13,7 @@ cost is that of the edges still in question, not of the mesh.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -38,6 +38,13 @@ class Quads(NamedTuple):
 
 # What a rule says of the edges in question: which to flip (N,) bool, and their rank (N,), higher first.
 Rule = Callable[[Quads], tuple[Tensor, Tensor]]
+
+
+@runtime_checkable
+class VertexRule(Protocol):
+    """A rule that must know the vertices u, w, s, r (N,) of the quads, too."""
+
+    def at(self, u: Tensor, w: Tensor, s: Tensor, r: Tensor) -> Rule: ...
 
 
 def opposite_angle_rank(q: Quads) -> Tensor:
@@ -193,7 +200,7 @@ def flip_rounds(
     triangles: Tensor,
     twin: Tensor,
     locked: Tensor,
-    rule: Rule,
+    rule: Rule | VertexRule,
     *,
     once: bool = False,
     max_rounds: int = 10_000,
@@ -268,7 +275,14 @@ def _canonical(h: Tensor, twin: Tensor) -> Tensor:
 
 
 def _eligible(
-    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, before: Tensor, pinched: Tensor, queue: Tensor, rule: Rule
+    x: Tensor,
+    y: Tensor,
+    vertex: Tensor,
+    twin: Tensor,
+    before: Tensor,
+    pinched: Tensor,
+    queue: Tensor,
+    rule: Rule | VertexRule,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The half-edges of the queue that the rule wants flipped and that may be, with their rank.
 
@@ -297,7 +311,7 @@ _CHUNK = 32768
 
 
 def _ask(
-    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, before: Tensor, h: Tensor, rule: Rule
+    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, before: Tensor, h: Tensor, rule: Rule | VertexRule
 ) -> tuple[Tensor, Tensor]:
     """What the rule says of the half-edges h; never to flip an edge whose two triangles share two edges."""
     gather = torch.index_select
@@ -308,7 +322,7 @@ def _ask(
         gather(x, 0, u), gather(y, 0, u), gather(x, 0, w), gather(y, 0, w),
         gather(x, 0, s), gather(y, 0, s), gather(x, 0, r), gather(y, 0, r),
     )  # fmt: skip
-    wanted, rank = rule(quads)
+    wanted, rank = (rule.at(u, w, s, r) if isinstance(rule, VertexRule) else rule)(quads)
     return wanted & (s != r), rank
 
 

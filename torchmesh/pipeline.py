@@ -30,6 +30,7 @@ from .remeshing import RemeshInfo, Remeshing, RemeshOptions
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth
 from .status import Status
+from .targets import MetricField, check_topology, narrow
 from .untangling import UntangleOptions, small_triangles, untangle
 from .warping import relax
 
@@ -70,6 +71,7 @@ class ImproveOptions:
             raise ValueError(f"ImproveOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
         if self.slides and self.topology not in ("keep", "flip"):
             raise ValueError(f"ImproveOptions.boundary='slide' needs topology 'keep' or 'flip', not {self.topology!r}")
+        check_topology(self.smooth.targets, self.topology)
         for name in ("untangle_rounds", "smooth_rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"ImproveOptions.{name} must be at least 1, not {getattr(self, name)}")
@@ -327,7 +329,10 @@ class _Job:
                 flips = self._flip("flip", going, FlipOptions(rule="shape"))
                 self._smooth("smooth", going, rough)
                 settled = (mean - self.quality.mean < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
-                going = going & (flips > 0) & (~settled if turn else going)
+                # Towards targets that are not equilateral the quality known here may even fall.
+                if turn and self.options.smooth.targets is None:
+                    going = going & ~settled
+                going = going & (flips > 0)
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
@@ -354,7 +359,9 @@ class _Job:
         flips = torch.zeros_like(self.status)
         if bool(at.any()):
             with self._stage(stage, at) as done:
-                part, info = flip_to_delaunay(self.batch.select(at), options)
+                targets = narrow(self.options.smooth.targets, self.given, at) if options.rule == "shape" else None
+                metric = targets if isinstance(targets, MetricField) else None
+                part, info = flip_to_delaunay(self.batch.select(at), options, metric=metric)
                 flips[at] = info.flips
                 done(part, flips=info.flips)
         return flips
@@ -371,6 +378,7 @@ class _Job:
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
+                options = replace(options, targets=narrow(self.options.smooth.targets, self.given, at))
                 rails = None if self.rails is None else self.rails.select(at)
                 part, info = smooth(part, options, monitor=self._monitor(stage, at), rails=rails)
                 if self.rails is not None and info.rails is not None:

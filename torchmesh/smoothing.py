@@ -1,7 +1,7 @@
 """Step 3: move the free vertices of a valid mesh to minimise the inverse mean ratio."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
@@ -16,6 +16,7 @@ from .rails import Rails
 from .segments import segment_any, spread
 from .sliding import Slide, rails_of
 from .status import Status
+from .targets import Targets, aim, check
 from .triangle import corners, squared_edge_lengths
 
 
@@ -30,6 +31,8 @@ class SmoothOptions:
     gradient_tolerance  or when the root mean square of its scaled gradient is below this
     boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
                       curves they are on, which keep their shape and the areas on both sides
+    targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
+                      one a triangle of the batch (`target_from`); or a `MetricField` (`metric_from`)
     corner_angle      degrees; where such a curve turns by more, the vertex is a corner and stays
     """
 
@@ -40,6 +43,7 @@ class SmoothOptions:
     gradient_tolerance: float = 1e-6
     boundary: Literal["fixed", "slide"] = "fixed"
     corner_angle: float = 40.0
+    targets: Targets | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if self.power < 1:
@@ -52,6 +56,8 @@ class SmoothOptions:
             raise ValueError(f"SmoothOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
         if not 0 <= self.corner_angle <= 180:
             raise ValueError(f"SmoothOptions.corner_angle must lie between 0 and 180 degrees, not {self.corner_angle}")
+        if self.targets is not None:
+            check(self.targets)
         for name in ("energy_tolerance", "gradient_tolerance"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"SmoothOptions.{name} must not be negative, but is {getattr(self, name)}")
@@ -114,6 +120,8 @@ def smooth(
         packing.triangle_offsets,
         packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
     )
+    if options.targets is not None:
+        objective = aim(objective, batch, packing, options.targets)
     slide = None if rails is None else Slide(batch, rails, packing)
     problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
     result = minimise(

@@ -1,0 +1,315 @@
+"""What triangles should look like, where that is not equilateral.
+
+Two kinds of targets, since two things can be told of an ideal triangle:
+
+- Target matrices W (T, 2, 2), one a triangle: the columns are the edges from its corner a to b and
+  to c of the ideal.  They say which edge is the long one, and nothing of how the triangle is turned
+  in the plane: a layer of thin triangles that is bent with its wall keeps its shape.  They belong
+  to triangles in their order of corners, and are lost when an edge flips.
+- A metric M, one symmetric positive definite matrix a place or vertex: a triangle is ideal if it is
+  equilateral when lengths are measured as sqrt(e^T M e).  It says in which direction of the plane
+  triangles are long, and nothing of which edge that is; so edges may flip.
+
+Both tell shapes, not sizes: a multiple of W or M is the same target (Knupp, Target-matrix
+construction algorithms, Sandia report SAND2009-7003P, 2009; Loseille & Alauzet, Continuous mesh
+framework, SIAM Journal on Numerical Analysis 49, 2011).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from .energies import Target, select_rows, target_of
+from .errors import InvalidMeshError
+from .flipping import Quads, new_signs, old_signs
+from .mesh import MeshBatch, triangle_mesh, vertex_mesh
+from .packing import MeshObjective, Packing
+from .quality import upright
+from .segments import spread
+from .triangle import SQRT3, Corners, corners, inverse_mean_ratio, signed_area, squared_edge_lengths
+
+
+@dataclass(frozen=True, eq=False)
+class MetricField:
+    """A metric for the plane, in which ideal triangles are equilateral.
+
+    values  (V, 3) entries m11, m12, m22 or (V, 2, 2) matrices, one a vertex of the batch, which
+            moves with the vertex; or a function of places (N, 2) to (N, 3) or (N, 2, 2), asked for
+            the vertices' places at the start of every smoothing and flipping.  Within a triangle
+            the metric is the mean of its corners', each scaled to determinant 1.
+
+    Raises ValueError for a tensor of another shape; positive definite they must be where used.
+    """
+
+    values: Tensor | Callable[[Tensor], Tensor]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.values, Tensor) and self.values.shape[1:] not in ((3,), (2, 2)):
+            raise ValueError(f"MetricField.values must be (V, 3) or (V, 2, 2), not {tuple(self.values.shape)}")
+        if not isinstance(self.values, Tensor) and not callable(self.values):
+            raise ValueError(f"MetricField.values must be a tensor or a function, not {type(self.values).__name__}")
+
+    def at_vertices(self, batch: MeshBatch) -> Tensor:
+        """(V, 3) float64 entries of the metric at the batch's vertices, scaled to determinant 1.
+
+        Raises InvalidMeshError, naming the vertex, where it is not positive definite.
+        """
+        values, count = self.values, len(batch.points)
+        name = "MetricField.values"
+        if not isinstance(values, Tensor):
+            values, name = values(batch.points), "the metric function's result"
+        if values.shape not in ((count, 3), (count, 2, 2)):
+            raise InvalidMeshError(f"{name} must be ({count}, 3) or ({count}, 2, 2), not {tuple(values.shape)}")
+        values = values.to(batch.points.device, torch.float64)
+        if values.ndim == 3:
+            if not bool((values[:, 0, 1] == values[:, 1, 0]).all()):
+                row = int((values[:, 0, 1] != values[:, 1, 0]).nonzero()[0])
+                raise InvalidMeshError(f"{name} row {row} is {values[row].tolist()}: a metric is symmetric")
+            values = torch.stack([values[:, 0, 0], values[:, 0, 1], values[:, 1, 1]], 1)
+        # Near 1 before it is squared.
+        size = (values[:, 0] + values[:, 2])[:, None]
+        values = values / torch.where(size > 0, size, 1.0)
+        determinant = values[:, 0] * values[:, 2] - values[:, 1] * values[:, 1]
+        bad = ~((size[:, 0] > 0) & (values[:, 0] > 0) & (determinant > 0) & values.isfinite().all(1))
+        if bool(bad.any()):
+            row = int(bad.nonzero()[0])
+            raise InvalidMeshError(
+                f"mesh {int(vertex_mesh(batch)[row])}: {name} row {row} is not positive definite "
+                "(or so thin that it rounds to that)"
+            )
+        return values / determinant.sqrt()[:, None]
+
+
+Targets = Tensor | MetricField
+
+
+def target_from(reference: MeshBatch) -> Tensor:
+    """(T, 2, 2) the triangles of `reference` as target matrices, for `SmoothOptions(targets=...)`.
+
+    For a batch with the same triangles in the same order: the mesh before it was deformed, say.
+    Raises InvalidMeshError, naming the row, where a triangle is not upright.
+    """
+    fallen = ~upright(reference)
+    if bool(fallen.any()):
+        row = int(fallen.nonzero()[0])
+        raise InvalidMeshError(
+            f"mesh {int(triangle_mesh(reference)[row])}: triangles row {row} is inverted, so it is no target; "
+            "improve the reference first"
+        )
+    a, b, c = reference.points.to(torch.float64)[reference.triangles].unbind(1)
+    return torch.stack([b - a, c - a], 2)
+
+
+def metric_from(reference: MeshBatch) -> MetricField:
+    """The metric in which the triangles of `reference` are nearly equilateral, at its vertices.
+
+    At each vertex the mean over its triangles of the metric in which that triangle is equilateral,
+    M = E^-T W^T W E^-1 with W the equilateral triangle, each scaled to determinant 1.  It keeps a
+    boundary layer while edges flip, as long as the layer is not turned.  Raises InvalidMeshError as
+    `target_from` does.
+    """
+    edges = target_from(reference)
+    e1x, e1y, e2x, e2y = edges[:, 0, 0], edges[:, 1, 0], edges[:, 0, 1], edges[:, 1, 1]
+    # M E = (rows of the cofactors of E) up to scale: 4/3 (|f1|^2 - f1.f2 + |f2|^2) = 1 at the edges.
+    metric = torch.stack(
+        [
+            e1y * e1y + e2y * e2y - e1y * e2y,
+            -(e1x * e1y + e2x * e2y - 0.5 * (e1x * e2y + e2x * e1y)),
+            e1x * e1x + e2x * e2x - e1x * e2x,
+        ],
+        1,
+    )
+    determinant = metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]
+    metric = metric / determinant.sqrt()[:, None]
+    total = metric.new_zeros((len(reference.points), 3))
+    for corner in range(3):
+        total.index_add_(0, reference.triangles[:, corner], metric)
+    # Vertices of no triangle have any metric.
+    unused = total[:, 0] == 0
+    total[unused] = total.new_tensor([1.0, 0.0, 1.0])
+    return MetricField(total)
+
+
+def target_quality(batch: MeshBatch, targets: Targets) -> Tensor:
+    """(T,) inverse mean ratio towards the targets: 1 for an ideal triangle, infinite for a flat one.
+
+    As `quality(batch).inverse_mean_ratio` is towards equilateral ones.
+    """
+    t = corners(batch.points.to(torch.float64), batch.triangles)
+    if isinstance(targets, MetricField):
+        return inverse_mean_ratio(_stretched(t, _roots(targets.at_vertices(batch), batch.triangles)))
+    target = _target(batch, targets)
+    e1x, e1y, e2x, e2y = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
+    stretch = target.g11 * (e1x * e1x + e1y * e1y) + target.g22 * (e2x * e2x + e2y * e2y)
+    stretch = stretch + 2 * target.g12 * (e1x * e2x + e1y * e2y)
+    det = target.m * (e1x * e2y - e1y * e2x).abs()
+    return torch.where(det > 0, stretch / (2 * torch.where(det > 0, det, 1.0)), torch.inf)
+
+
+def check(targets: object) -> None:
+    """Raise ValueError unless these are targets, as far as can be told without a batch."""
+    if isinstance(targets, MetricField) or (isinstance(targets, Tensor) and targets.shape[1:] == (2, 2)):
+        return
+    said = tuple(targets.shape) if isinstance(targets, Tensor) else type(targets).__name__
+    raise ValueError(
+        f"SmoothOptions.targets must be a (T, 2, 2) tensor of target matrices or a MetricField, not {said}; "
+        "for a mesh as target use target_from(mesh) or metric_from(mesh)"
+    )
+
+
+def check_topology(targets: Targets | None, topology: str) -> None:
+    """Raise ValueError where `improve` may change the triangles in ways that these targets do not bear."""
+    if isinstance(targets, Tensor) and topology != "keep":
+        raise ValueError(
+            "ImproveOptions.smooth.targets are matrices of triangles, which do not last when edges flip: "
+            "set topology='keep', or give a MetricField (metric_from)"
+        )
+    if targets is not None and topology not in ("keep", "flip"):
+        raise ValueError(f"ImproveOptions.smooth.targets need topology 'keep' or 'flip', not {topology!r}")
+
+
+def narrow(targets: Targets | None, batch: MeshBatch, at: Tensor) -> Targets | None:
+    """The targets for `batch.select(at)`."""
+    if isinstance(targets, Tensor):
+        return targets.to(at.device)[spread(at, batch.triangle_offsets)]
+    if isinstance(targets, MetricField) and isinstance(targets.values, Tensor):
+        return MetricField(targets.values.to(at.device)[spread(at, batch.point_offsets)])
+    return targets
+
+
+def aim(objective: MeshObjective, batch: MeshBatch, packing: Packing, targets: Targets) -> MeshObjective:
+    """`objective` with these targets in place of equilateral triangles."""
+    scale = packing.spread_vertices(_vertex_height(batch) / spread(packing.unit, batch.point_offsets))
+    if isinstance(targets, MetricField):
+        roots = _roots(targets.at_vertices(batch), batch.triangles[packing.triangles])
+        parts = {f.name: getattr(objective, f.name) for f in fields(objective)}
+        return MetricObjective(**(parts | {"scale": scale}), roots=roots)
+    return replace(objective, target=select_rows(_target(batch, targets), packing.triangles), scale=scale)
+
+
+def _target(batch: MeshBatch, matrices: Tensor) -> Target:
+    """The (T, 2, 2) target matrices, checked, as the kernel's coefficients; sizes fall out."""
+    count = len(batch.triangles)
+    if matrices.shape != (count, 2, 2):
+        raise InvalidMeshError(f"targets must be ({count}, 2, 2), one matrix a triangle, not {tuple(matrices.shape)}")
+    w = matrices.to(batch.points.device, torch.float64)
+    w = w / w.abs().amax((1, 2)).clamp_min(1e-300)[:, None, None]
+    zero = torch.zeros_like(w[:, 0, 0])
+    t = Corners(zero, zero, w[:, 0, 0], w[:, 1, 0], w[:, 0, 1], w[:, 1, 1])
+    area = signed_area(t)
+    bad = ~(area > 0)
+    if bool(bad.any()):
+        row = int(bad.nonzero()[0])
+        raise InvalidMeshError(
+            f"mesh {int(triangle_mesh(batch)[row])}: targets row {row} is {matrices[row].tolist()}: "
+            "the determinant of a target matrix must be positive"
+        )
+    size = (4 / SQRT3 * area).sqrt()
+    return target_of(Corners(*(v / size for v in t)))
+
+
+def _vertex_height(batch: MeshBatch) -> Tensor:
+    """(V,) the least height of the triangles round each vertex: how far it may move before one inverts, about."""
+    t = corners(batch.points.to(torch.float64), batch.triangles)
+    ab, bc, ca = squared_edge_lengths(t)
+    longest = torch.maximum(ab, torch.maximum(bc, ca)).sqrt()
+    height = 2 * signed_area(t).abs() / torch.where(longest > 0, longest, 1.0)
+    least = height.new_full((len(batch.points),), torch.inf)
+    for corner in range(3):
+        least.scatter_reduce_(0, batch.triangles[:, corner], height, "amin")
+    return torch.where(least.isfinite(), least, 0.0)
+
+
+def _roots(metric: Tensor, triangles: Tensor) -> Tensor:
+    """(T, 3) entries h11, h12, h22 of the square roots of the triangles' metrics, the mean of their corners'."""
+    return _root(sum(metric[triangles[:, corner]] for corner in range(3)))  # type: ignore[arg-type]
+
+
+def _root(metric: Tensor) -> Tensor:
+    """(N, 3) square roots of symmetric matrices M, up to scale: M + sqrt(det M) I (Cayley & Hamilton), det 1."""
+    determinant = (metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]).sqrt()
+    root = torch.stack([metric[:, 0] + determinant, metric[:, 1], metric[:, 2] + determinant], 1)
+    size = (root[:, 0] * root[:, 2] - root[:, 1] * root[:, 1]).sqrt()
+    return root / size[:, None]
+
+
+def _stretched(t: Corners, root: Tensor) -> Corners:
+    """The triangles as the metric sees them, their corners counted from a."""
+    h11, h12, h22 = root.unbind(1)
+    e1x, e1y, e2x, e2y = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
+    zero = torch.zeros_like(e1x)
+    return Corners(
+        zero, zero, h11 * e1x + h12 * e1y, h12 * e1x + h22 * e1y, h11 * e2x + h12 * e2y, h12 * e2x + h22 * e2y
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MetricObjective(MeshObjective):
+    """A `MeshObjective` of triangles seen through their metric: the edges H e in place of e.
+
+    roots  (T, 3) entries h11, h12, h22 of H for the packed triangles
+    """
+
+    roots: Tensor = None  # type: ignore[assignment]
+
+    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        coordinates = torch.cat([unknowns, self.anchored])
+        rows = self.rows.long()
+        h11, h12, h22 = self.roots.unbind(1)
+        t = _stretched(Corners(*coordinates[rows]), self.roots)
+        half = 4 / 3 * torch.stack([t.bx - 0.5 * t.cx, t.by - 0.5 * t.cy, t.cx - 0.5 * t.bx, t.cy - 0.5 * t.by])
+        stretch = half[0] * t.bx + half[1] * t.by + half[2] * t.cx + half[3] * t.cy
+        det = 2 / SQRT3 * (t.bx * t.cy - t.by * t.cx)
+        phi, by_stretch, by_det = self.energy.value_and_slopes(stretch, det)
+        by_stretch, by_det = 2 * by_stretch, 2 / SQRT3 * by_det
+        f1x, f1y = by_stretch * half[0] + by_det * t.cy, by_stretch * half[1] - by_det * t.cx
+        f2x, f2y = by_stretch * half[2] - by_det * t.by, by_stretch * half[3] + by_det * t.bx
+        f1x, f1y = h11 * f1x + h12 * f1y, h12 * f1x + h22 * f1y
+        f2x, f2y = h11 * f2x + h12 * f2y, h12 * f2x + h22 * f2y
+        gradient = torch.zeros_like(coordinates)
+        for at, part in zip(rows, (-(f1x + f2x), -(f1y + f2y), f1x, f1y, f2x, f2y), strict=True):
+            gradient.index_add_(0, at, part)
+        energy = torch.segment_reduce(phi, "sum", offsets=self.triangle_offsets, initial=0.0)
+        return energy, gradient[: len(unknowns)], torch.zeros_like(energy, dtype=torch.bool)
+
+    def select(self, keep: Tensor) -> "MetricObjective":
+        part = super().select(keep)
+        parts = {f.name: getattr(part, f.name) for f in fields(part)}
+        return MetricObjective(**(parts | {"roots": self.roots[spread(keep, self.triangle_offsets)]}))
+
+
+@dataclass(frozen=True, eq=False)
+class MetricRule:
+    """The flip rule `shape_rule` in a metric: flip when the smoother's energy of the two triangles falls.
+
+    The energy of a triangle depends on nothing but its vertices, so the sum over the mesh falls
+    with every flip and rounds cannot cycle.
+
+    metric  (V, 3) from `MetricField.at_vertices`
+    """
+
+    metric: Tensor
+
+    def at(self, u: Tensor, w: Tensor, s: Tensor, r: Tensor) -> Callable[[Quads], tuple[Tensor, Tensor]]:
+        """The rule for quads of these vertices."""
+
+        def rule(q: Quads) -> tuple[Tensor, Tensor]:
+            mu, mw, ms, mr = (self.metric[v] for v in (u, w, s, r))
+            before = _energy(Corners(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy), mu + mw + ms)
+            before = before + _energy(Corners(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry), mw + mu + mr)
+            after = _energy(Corners(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy), mu + mr + ms)
+            after = after + _energy(Corners(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy), mr + mw + ms)
+            wanted = before - after > 1e-10 * before
+            rows = wanted.nonzero().squeeze(1)
+            few = Quads(*(v[rows] for v in q))
+            wanted[rows] = torch.stack(old_signs(few) + new_signs(few)).amin(0) > 0
+            return wanted, before - after
+
+        return rule
+
+
+def _energy(t: Corners, metric: Tensor) -> Tensor:
+    # A flat triangle's infinity must not meet another in a difference.
+    return inverse_mean_ratio(_stretched(t, _root(metric))).clamp_max(1e30).square()
