@@ -46,8 +46,9 @@ _DOMAIN_TRIES = 20
 _MOTION_TRIES = 6
 # Places along a motion's path that are looked at.
 _LEVELS = 5
-# What random numbers are for: the domain's shape, a motion, and whether that motion shall tangle.
-_SHAPE, _MOTION, _WISH = 1, 2, 3
+# What random numbers are for: the domain's shape, a motion.
+_SHAPE, _MOTION = 1, 2
+_GOLDEN = (5**0.5 - 1) / 2
 # Domains meshed and smoothed together; no result depends on it.
 _DOMAINS_AT_ONCE = 16
 
@@ -60,8 +61,8 @@ class DomainOptions:
     seed       whole number from 0; the same options and seed give the same meshes bit for bit (with the
                same versions of torch, numpy and scipy on the same processor)
     triangles  wanted for each mesh, met within some percent; domains whose smallest parts need more get more
-    tangled    the share of meshes that the motion shall tangle, 0 to 1.  Met but for the few motions
-               that do not tangle however they are drawn: `Moved.inverted` tells
+    tangled    the share of meshes that the motion shall tangle, 0 to 1, met evenly along the stream but
+               for the few motions that do not tangle however they are drawn: `Moved.inverted` tells
     motions    how many motions of each undeformed mesh follow one another; 1: every domain is new
     shard      (i, n): of all domains take every n-th from the i-th, for n workers that share the work
     """
@@ -194,7 +195,7 @@ class _Domain:
         waiting = list(range(options.motions))
         for attempt in range(_MOTION_TRIES):
             rngs = [_generator(options, self.number, _MOTION, attempt, k) for k in waiting]
-            wishes = [_generator(options, self.number, _WISH, 0, k).random() < options.tangled for k in waiting]
+            wishes = [_wished(options, self.number * options.motions + k) for k in waiting]
             paths = [self._path(rng) for rng in rngs]
             for k, rng, wish, places in zip(waiting, rngs, wishes, self._carried(paths), strict=True):
                 place, fits = self._chosen(rng, places, wish)
@@ -244,6 +245,15 @@ class _Domain:
             if why_not_simple(places[level], loops) is None:
                 return np.ascontiguousarray(places[level]), inverted[level] == tangled
         return None, False
+
+
+def _wished(options: DomainOptions, mesh: int) -> bool:
+    """Whether the mesh of this number in the stream shall be tangled.
+
+    Multiples of the golden section, modulo one, fill [0, 1) so evenly that every stretch of the
+    stream comes close to the share wished for.
+    """
+    return (options.seed + mesh * _GOLDEN) % 1.0 < options.tangled
 
 
 def _generator(options: DomainOptions, number: int, purpose: int, attempt: int, motion: int = 0) -> np.random.Generator:

@@ -7,6 +7,7 @@ Domains lie on the left of their loops: the outer one counter-clockwise, holes c
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,9 @@ def mesh_outline(
     The same arguments and state of `rng` give the same bits.  Raises MeshingError for loops that
     bound no domain.
     """
+    _polygon(outline.loops)
+    if _area(outline) <= 0:
+        raise MeshingError("the outline bounds no domain: its outer loop runs clockwise, or a hole counter-clockwise")
     samples, thickness, relative = _sampled(outline)
     scale = np.sqrt(4 / _SQRT3 * abs(_area(outline)) / triangles) / max(outline.sizes)
     state = rng.bit_generator.state
@@ -125,6 +129,15 @@ class _SizeField:
 
 def _complex(points: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points, dtype=np.float64).view(np.complex128)[:, 0]
+
+
+def _polygon(loops: Sequence[np.ndarray]) -> shapely.Polygon:
+    """The loops as a polygon ready to be asked."""
+    polygon = shapely.Polygon(loops[0], loops[1:])
+    if not polygon.is_valid:
+        raise MeshingError(f"the outline bounds no domain: {shapely.is_valid_reason(polygon)}")
+    shapely.prepare(polygon)
+    return polygon
 
 
 def _area(outline: Outline) -> float:
@@ -205,10 +218,7 @@ def _refined(path: np.ndarray, step: float) -> np.ndarray:
 
 def _seeds(rim: list[np.ndarray], field: _SizeField, rng: np.random.Generator) -> np.ndarray:
     """(M, 2) places for the interior vertices: lattice points inside, clear of the outline."""
-    polygon = shapely.Polygon(rim[0], rim[1:])
-    if not polygon.is_valid:
-        raise MeshingError(f"the outline bounds no domain: {shapely.is_valid_reason(polygon)}")
-    shapely.prepare(polygon)
+    polygon = _polygon(rim)
     seeds = _lattice(rim[0].min(0), rim[0].max(0), field, rng)
     seeds = seeds[shapely.contains_xy(polygon, seeds)]
     middles = [0.5 * (loop + np.roll(loop, -1, 0)) for loop in rim]
@@ -268,8 +278,7 @@ def _meshed(rim: list[np.ndarray], seeds: np.ndarray, field: _SizeField) -> tupl
     """
     outer = np.concatenate(rim)
     border = len(outer)
-    polygon = shapely.Polygon(rim[0], rim[1:])
-    shapely.prepare(polygon)
+    polygon = _polygon(rim)
     points = np.concatenate([outer, seeds])
     sizes = field(points)
     for _ in range(_CENTROID_ROUNDS):
