@@ -20,6 +20,7 @@ class Method(str, Enum):
 class Topology(str, Enum):
     flip = "flip"
     keep = "keep"
+    full = "full"
 
 
 class Boundary(str, Enum):
@@ -32,7 +33,11 @@ MethodOption = Annotated[
     typer.Option(help="The best way known, or Kim 2017 (An Iterative Mesh Untangling Algorithm) as printed."),
 ]
 TopologyOption = Annotated[
-    Topology, typer.Option(help="May edges flip, or do the triangles stay? Vertices keep their order either way.")
+    Topology,
+    typer.Option(
+        help="May edges flip, or do the triangles stay? Vertices keep their order either way. With full, vertices may "
+        "also be added and removed: better shapes, and sizes that follow the boundary."
+    ),
 ]
 BoundaryOption = Annotated[
     Boundary,

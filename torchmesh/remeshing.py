@@ -20,10 +20,16 @@ from .mesh import MeshBatch, vertex_mesh
 from .packing import centre_and_unit
 from .quality import quality
 from .segments import counts_from_offsets, offsets_from_counts, segment_any, spread
-from .sizing import SizeConformity, Sizes, carried, size_conformity, size_field
+from .sizing import SizeConformity, Sizes, carried, check_sizes, size_conformity, size_field
 from .smoothing import SmoothOptions, smooth
 from .splitting import Wish as SplitWish
 from .splitting import split_rounds, worst_after
+
+# A mesh is done when fewer than one edge is split or collapsed for so many triangles.
+_FEW = 500
+# Above this mean inverse mean ratio a mesh may be stuck in rows, and is shaken up: its edges shorter
+# and longer than these parts of their size go, once.
+_ROUGH, _SHAKE = 1.06, (0.9, 1.3)
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,7 @@ class RemeshOptions:
     smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
 
     def __post_init__(self) -> None:
+        check_sizes(self.sizes)
         # An edge that was just halved must not be short, nor one that comes of a collapse long.
         if not 0 < self.collapse_below <= self.split_above / 2:
             raise ValueError(
@@ -99,50 +106,74 @@ class Remeshing:
         self.names = Names(len(batch.points), batch.points.device)
         self.wanted = counts_from_offsets(batch.triangle_offsets)
         self.size: Tensor | None = None
+        self.longest = options.split_above
         zero = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
         self.splits, self.collapses, self.flips, self.rounds = zero, zero.clone(), zero.clone(), zero.clone()
 
     def run(self, going: Tensor) -> None:
         """Remesh the meshes `going` (B,) bool, which must be valid."""
-        done = going
-        options = SmoothOptions(max_iterations=15, energy_tolerance=1e-3)
-        rough = quality(self.batch)
         self.size = self._sizes(going)
+        self._rounds(going)
+        # Rows of right-angled triangles fit their sizes, and no single split or collapse betters them.
+        before = quality(self.batch).mean
+        rough = going & (before > _ROUGH) & (self.rounds > 0)
+        if bool(rough.any()):
+            ordered = self._state()
+            self.longest = 2 * self.options.split_above
+            self._cut(rough, *_SHAKE)
+            self.longest = self.options.split_above
+            self._settle(rough)
+            self._rounds(rough)
+            self._restore(rough & (quality(self.batch).mean >= before), ordered)
+        self._polish(going)
+
+    def _rounds(self, going: Tensor) -> None:
+        """Split, collapse, flip and smooth in turn, until hardly an edge changes or the shapes no longer gain."""
+        before = quality(self.batch)
         for turn in range(self.options.max_rounds):
             if not bool(going.any()):
                 break
-            changed = self._cut(going)
-            self._settle(going, options)
+            changed = self._cut(going, self.options.collapse_below, self.options.split_above)
+            self._settle(going)
             self.rounds[going] += 1
             now = quality(self.batch)
-            few = 500 * changed <= counts_from_offsets(self.batch.triangle_offsets)
-            stuck = (rough.mean - now.mean < 1e-4) & (rough.max - now.max < 1e-3 * now.max)
-            going = going & ~few & ~(stuck if turn else few)
-            rough = now
-        self._polish(done)
+            few = _FEW * changed <= counts_from_offsets(self.batch.triangle_offsets)
+            stuck = (before.mean - now.mean < 1e-4) & (before.max - now.max < 1e-3 * now.max)
+            going = going & ~few & ~(stuck & (turn > 0))
+            before = now
+
+    def _state(self) -> tuple[MeshBatch, Tensor, Tensor]:
+        assert self.size is not None
+        return self.batch, self.size, self.names.of
+
+    def _restore(self, at: Tensor, state: tuple[MeshBatch, Tensor, Tensor]) -> None:
+        """Take the meshes `at` (B,) bool back to what they were."""
+        if bool(at.any()):
+            batch, size, names = state
+            rows, now = spread(at, batch.point_offsets), self._state()
+            self.batch, self.size, self.names.of = exchange(
+                now[0], at, batch.select(at), [(now[1], size[rows]), (now[2], names[rows])]
+            )
 
     def improve(self, going: Tensor) -> Tensor:
         """Remesh the meshes `going` (B,) bool and take back what made the shapes worse; those kept (B,) bool.
 
-        Neither the mean nor the maximum of the inverse mean ratio may grow.  With sizes that the user
-        asked for, it is enough if no triangle is worse than the worst there was, or than `options.worst`.
+        The mean inverse mean ratio may not grow, nor the maximum, unless it stays below the ceiling of the
+        smoothing.  With sizes that the user asked for, it is enough if no triangle is worse than the worst
+        there was, or than `options.worst`.
         """
-        given, before = self.batch, quality(self.batch)
-        rows = self.names.of
+        before = quality(self.batch)
+        self.size = self._sizes(going)
+        given = self._state()
         self.run(going)
         after = quality(self.batch)
         if isinstance(self.options.sizes, str) and self.options.sizes == "boundary":
-            good = (after.mean <= before.mean) & (after.max <= before.max)
+            ceiling = self.options.smooth.ceiling or 1.0
+            good = (after.mean <= before.mean) & (after.max <= before.max.clamp_min(ceiling))
         else:
             good = after.max <= before.max.clamp_min(self.options.worst)
         good &= after.inverted <= before.inverted
-        back = going & ~good
-        if bool(back.any()) and self.size is not None:
-            part, old = given.select(back), spread(back, given.point_offsets)
-            size = size_field(part, self._sizes_of(rows[old]), triangles=self.wanted[back])
-            self.batch, self.size, self.names.of = exchange(
-                self.batch, back, part, [(self.size, size), (self.names.of, rows[old])]
-            )
+        self._restore(going & ~good, given)
         return going & good
 
     def _sizes_of(self, rows: Tensor) -> Sizes:
@@ -165,13 +196,13 @@ class Remeshing:
             size[rows] = size_field(part, self._sizes_of(rows), triangles=self.wanted[going])
         return size
 
-    def _cut(self, going: Tensor) -> Tensor:
-        """Split and collapse in the meshes `going`; how many edges of each mesh (B,)."""
+    def _cut(self, going: Tensor, short: float, long: float) -> Tensor:
+        """Split edges above `long` of their size in the meshes `going`, collapse those below `short`; how many (B,)."""
         assert self.size is not None
         part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
         e = editable(part, self.size[rows], self.names, self.names.of[rows])
-        splits = split_rounds(e, self._too_long(e), allow_fixed=self.options.split_boundary)
-        collapses = collapse_rounds(e, self._too_short(e), self._harmless)
+        splits = split_rounds(e, self._too_long(e, long), allow_fixed=self.options.split_boundary)
+        collapses = collapse_rounds(e, self._too_short(e, short), self._harmless)
         self.splits[going] += splits
         self.collapses[going] += collapses
         self.names.fresh = e.fresh
@@ -183,10 +214,10 @@ class Remeshing:
         changed[going] = splits + collapses
         return changed
 
-    def _too_long(self, e: Editable) -> SplitWish:
+    def _too_long(self, e: Editable, limit: float) -> SplitWish:
         def wish(h: Tensor) -> tuple[Tensor, Tensor]:
             ratio = e.relative_length(h)
-            long = (ratio > self.options.split_above).nonzero().squeeze(1)
+            long = (ratio > limit).nonzero().squeeze(1)
             before, after = worst_after(e, h[long])
             wanted = torch.zeros(len(h), dtype=torch.bool, device=h.device)
             wanted[long] = after <= before.clamp_min(self.options.worst)
@@ -194,21 +225,21 @@ class Remeshing:
 
         return wish
 
-    def _too_short(self, e: Editable) -> CollapseWish:
+    def _too_short(self, e: Editable, limit: float) -> CollapseWish:
         def wish(h: Tensor) -> Tensor:
             ratio = e.relative_length(h)
-            return torch.where(ratio < self.options.collapse_below, ratio, torch.inf)
+            return torch.where(ratio < limit, ratio, torch.inf)
 
         return wish
 
     def _harmless(self, c: Collapses, o: Outcome) -> Tensor:
-        return (o.after <= o.before.clamp_min(self.options.worst)) & (o.longest < self.options.split_above)
+        return (o.after <= o.before.clamp_min(self.options.worst)) & (o.longest < self.longest)
 
-    def _settle(self, going: Tensor, options: SmoothOptions) -> Tensor:
+    def _settle(self, going: Tensor, iterations: int = 15) -> Tensor:
         """Flip, smooth, and read the sizes anew where the vertices are then; the flips of each mesh (B,)."""
         part = self.batch.select(going)
         part, info = flip_to_delaunay(part, FlipOptions(rule="shape"))
-        moved, _ = smooth(part, options)
+        moved, _ = smooth(part, SmoothOptions(max_iterations=iterations, energy_tolerance=1e-3))
         self._renew(going, part, moved)
         flips = torch.zeros_like(self.flips)
         flips[going] = info.flips
@@ -226,12 +257,11 @@ class Remeshing:
         self.batch, self.size = exchange(self.batch, going, after, [(self.size, size)])
 
     def _polish(self, going: Tensor) -> None:
-        rough = SmoothOptions(max_iterations=20, energy_tolerance=1e-3)
         at = going
         for _ in range(5):
             if not bool(at.any()):
                 break
-            at = at & (self._settle(at, rough) > 0)
+            at = at & (self._settle(at, 20) > 0)
         if bool(going.any()):
             part = self.batch.select(going)
             self._renew(going, part, smooth(part, self.options.smooth)[0])

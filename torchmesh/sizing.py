@@ -44,9 +44,8 @@ def size_field(batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor
     Raises ValueError for an unknown name, InvalidMeshError for sizes that are not (V,) positive
     finite numbers, naming the vertex.
     """
+    check_sizes(sizes)
     if isinstance(sizes, str):
-        if sizes not in NAMES:
-            raise ValueError(f"sizes must be one of {list(NAMES)}, a tensor (V,) or a function, not {sizes!r}")
         wanted = counts_from_offsets(batch.triangle_offsets) if triangles is None else triangles
         if sizes == "boundary":
             return boundary_sizes(batch, wanted)
@@ -69,6 +68,12 @@ def size_field(batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor
             f"positive and finite ({int(bad.sum())} rows are not)"
         )
     return values
+
+
+def check_sizes(sizes: Sizes) -> None:
+    """Raises ValueError for a name that is none."""
+    if isinstance(sizes, str) and sizes not in NAMES:
+        raise ValueError(f"sizes must be one of {list(NAMES)}, a tensor (V,) or a function, not {sizes!r}")
 
 
 def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
