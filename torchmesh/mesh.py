@@ -203,6 +203,41 @@ def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
     return dataclasses.replace(batch, points=points, triangles=triangles)
 
 
+def select_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
+    """The twins (3T',) of `batch.select(keep)` from those of `batch` (3T,)."""
+    if bool(keep.all()):
+        return twin
+    offsets = 3 * batch.triangle_offsets
+    counts = counts_from_offsets(offsets)
+    shift = offsets[:-1] - offsets_from_counts(counts * keep)[:-1]
+    part = twin[spread(keep, offsets)]
+    return torch.where(part < 0, -1, part - shift[keep].repeat_interleave(counts[keep]))
+
+
+def put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """`twin` (3T,) of `batch` with those of the meshes `at` (B,) bool replaced by `part`, from `select_twins`."""
+    if len(part) == len(twin):
+        return part
+    offsets = 3 * batch.triangle_offsets
+    counts = counts_from_offsets(offsets)
+    shift = offsets[:-1] - offsets_from_counts(counts * at)[:-1]
+    twin = twin.clone()
+    twin[spread(at, offsets)] = torch.where(part < 0, -1, part + shift[at].repeat_interleave(counts[at]))
+    return twin
+
+
+def touching(batch: MeshBatch, vertices: Tensor) -> Tensor:
+    """(T,) bool: the triangles with a corner among `vertices` (V,) bool."""
+    a, b, c = (vertices.index_select(0, v.contiguous()) for v in batch.triangles.unbind(1))
+    return a | b | c
+
+
+def corners_of(batch: MeshBatch, triangles: Tensor) -> Tensor:
+    """(V,) bool: the corners of the `triangles` (T,) bool."""
+    mask = torch.zeros(len(batch.points), dtype=torch.bool, device=triangles.device)
+    return mask.index_fill_(0, batch.triangles.index_select(0, triangles.nonzero().squeeze(1)).reshape(-1), True)
+
+
 def lift(mesh: MeshBatch) -> Tensor:
     """(V, 3) the points in space, back in the plane each mesh was given in."""
     frame = spread(mesh.frames, mesh.point_offsets).to(mesh.points.dtype)

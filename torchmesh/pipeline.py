@@ -18,17 +18,19 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
 from .errors import ConvergenceError
 from .genealogy import VertexMap
-from .mesh import MeshBatch, join, put
+from .mesh import MeshBatch, corners_of, join, put, put_twins, select_twins, touching
 from .pockets import untangle_by_pockets
 from .quality import Quality, quality
 from .remeshing import RemeshInfo, Remeshing, RemeshOptions
+from .segments import spread
 from .sliding import rails_of
-from .smoothing import SmoothOptions, smooth
+from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
 from .targets import MetricField, check_topology, narrow
 from .untangling import UntangleOptions, small_triangles, untangle
@@ -216,6 +218,9 @@ def improve(
     return job.batch, job.report()
 
 
+# A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
+_STILL = 0.02
+
 # The inverse mean ratio of a triangle that is all but flat.
 _SLIVER = 50.0
 
@@ -238,6 +243,7 @@ class _Job:
         self.rails = rails_of(batch, options.smooth.corner_angle, hold) if options.slides else None
         self.options, self.progress, self.observe = options, progress, observe
         self.quality = quality(batch)
+        self._twin: Tensor | None = None
         self.remeshed: RemeshInfo | None = None
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
         self.messages: dict[int, str] = {}
@@ -324,10 +330,16 @@ class _Job:
         self._smooth("smooth", going & (self.quality.max > _SLIVER), slivers)
         rough = SmoothOptions(power=self.options.smooth.power, max_iterations=10, energy_tolerance=1e-3)
         if self.options.topology != "keep":
+            size = vertex_size(self.batch)
+            lively = torch.ones_like(self.batch.fixed)
             for turn in range(self.options.smooth_rounds):
-                mean, worst = self.quality.mean, self.quality.max
-                flips = self._flip("flip", going, FlipOptions(rule="shape"))
-                self._smooth("smooth", going, rough)
+                mean, worst, before = self.quality.mean, self.quality.max, self.batch
+                flips = self._flip("flip", going, FlipOptions(rule="shape"), lively)
+                if turn > 1:
+                    lively = corners_of(self.batch, touching(self.batch, lively | _rewired(before, self.batch)))
+                self._smooth("smooth", going, rough, lively)
+                if turn:
+                    lively = (self.batch.points - before.points).square().sum(1) > (_STILL * size).square()
                 settled = (mean - self.quality.mean < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
                 # Towards targets that are not equilateral the quality known here may even fall.
                 if turn and self.options.smooth.targets is None:
@@ -344,6 +356,7 @@ class _Job:
             with self._stage("remesh", at) as done:
                 work.improve(at)
                 done(work.batch, flips=work.flips[at])
+                self._twin = None
         self.remeshed = work.info()
 
     def report(self) -> Report:
@@ -355,16 +368,25 @@ class _Job:
         )
         return Report(self.status, valid, certified, self.quality, self.steps, messages, self.remeshed)
 
-    def _flip(self, stage: str, at: Tensor, options: FlipOptions) -> Tensor:
+    def _flip(self, stage: str, at: Tensor, options: FlipOptions, near: Tensor | None = None) -> Tensor:
+        """Flip in the meshes `at`, at the vertices `near` (V,) bool to begin with; returns the flips (B,)."""
         flips = torch.zeros_like(self.status)
         if bool(at.any()):
             with self._stage(stage, at) as done:
+                part = self.batch.select(at)
+                around = None if near is None else touching(part, near[spread(at, self.batch.point_offsets)])
                 targets = narrow(self.options.smooth.targets, self.given, at) if options.rule == "shape" else None
                 metric = targets if isinstance(targets, MetricField) else None
-                part, info = flip_to_delaunay(self.batch.select(at), options, metric=metric)
+                part, info = flip_to_delaunay(part, options, twin=self._twins(at), around=around, metric=metric)
                 flips[at] = info.flips
-                done(part, flips=info.flips)
+                done(part, flips=info.flips, twin=info.twin)
         return flips
+
+    def _twins(self, at: Tensor) -> Tensor:
+        """The twins of the meshes `at`, sorted out once and then kept up to date by the flips."""
+        if self._twin is None:
+            self._twin = connectivity.twins(self.batch.triangles)
+        return select_twins(self.batch, self._twin, at)
 
     def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> None:
         if bool(at.any()):
@@ -374,13 +396,15 @@ class _Job:
                 part, info = untangle(part, options, free=free, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
-    def _smooth(self, stage: str, at: Tensor, options: SmoothOptions) -> None:
+    def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, near: Tensor | None = None) -> None:
+        """Smooth the meshes `at`; only the vertices `near` (V,) bool move."""
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
+                free = None if near is None or self.rails is not None else near[spread(at, self.batch.point_offsets)]
                 options = replace(options, targets=narrow(self.options.smooth.targets, self.given, at))
                 rails = None if self.rails is None else self.rails.select(at)
-                part, info = smooth(part, options, monitor=self._monitor(stage, at), rails=rails)
+                part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at), rails=rails)
                 if self.rails is not None and info.rails is not None:
                     self.rails = self.rails.put(at, info.rails)
                 done(part, iterations=info.iterations)
@@ -398,6 +422,7 @@ class _Job:
                 put(now, better, part.select(better)) if bool(better.any()) else now,
                 iterations=None if info is None else info.iterations,
             )
+            self._twin = None
 
     @contextmanager
     def _stage(self, stage: str, at: Tensor) -> Iterator[Callable[..., None]]:
@@ -406,9 +431,16 @@ class _Job:
             self.progress(Progress(stage, int(at.sum()), int(self.quality.inverted[at].sum())))
         none = torch.zeros(int(at.sum()), dtype=torch.int64, device=at.device)
 
-        def done(part: MeshBatch, flips: Tensor | None = None, iterations: Tensor | None = None) -> None:
+        def done(
+            part: MeshBatch,
+            flips: Tensor | None = None,
+            iterations: Tensor | None = None,
+            twin: Tensor | None = None,
+        ) -> None:
+            if twin is not None and self._twin is not None:
+                self._twin = put_twins(self.batch, self._twin, at, twin)
             self.batch = put(self.batch, at, part)
-            self.quality = quality(self.batch)
+            self.quality = self.quality.put(at, self.batch.triangle_offsets, quality(part))
             seconds = time.perf_counter() - started
             self._log(stage, at, none if flips is None else flips, none if iterations is None else iterations, seconds)
 
@@ -441,8 +473,13 @@ def _by_pockets(batch: MeshBatch) -> tuple[MeshBatch, None]:
 
 def _near(batch: MeshBatch, core: Tensor, rings: int) -> Tensor:
     """(V,) bool: the vertices of the triangles `core` (T,) bool and of `rings` - 1 rings round them."""
-    mask = torch.zeros(len(batch.points), dtype=torch.bool, device=core.device)
-    for _ in range(rings):
-        mask[batch.triangles[core].reshape(-1)] = True
-        core = mask[batch.triangles].any(1)
-    return mask
+    near = corners_of(batch, core)
+    for _ in range(rings - 1):
+        near = corners_of(batch, touching(batch, near))
+    return near
+
+
+def _rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
+    """(V,) bool: the corners of the triangles that are not what they were."""
+    changed = torch.zeros(len(after.triangles), dtype=torch.bool, device=after.triangles.device)
+    return corners_of(after, changed.index_fill_(0, (before.triangles != after.triangles).nonzero()[:, 0], True))

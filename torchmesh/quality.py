@@ -9,7 +9,7 @@ from torch import Tensor
 from . import triangle
 from .mesh import MeshBatch
 from .predicates import orientation
-from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
+from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum, spread
 from .triangle import corners, inverse_mean_ratio, signed_area
 
 
@@ -30,6 +30,26 @@ class Quality:
     mean: Tensor
     max: Tensor
     inverted: Tensor
+
+    def put(self, at: Tensor, triangle_offsets: Tensor, part: "Quality") -> "Quality":
+        """This quality with that of the meshes `at` (B,) bool replaced by `part`; they keep their number of triangles."""
+        if len(part.mean) == len(self.mean):
+            return part
+        rows = spread(at, triangle_offsets)
+
+        def put(whole: Tensor, where: Tensor, values: Tensor) -> Tensor:
+            whole = whole.clone()
+            whole[where] = values
+            return whole
+
+        return Quality(
+            put(self.area, rows, part.area),
+            put(self.inverse_mean_ratio, rows, part.inverse_mean_ratio),
+            put(self.upright, rows, part.upright),
+            put(self.mean, at, part.mean),
+            put(self.max, at, part.max),
+            put(self.inverted, at, part.inverted),
+        )
 
 
 def quality(batch: MeshBatch) -> Quality:
