@@ -4,6 +4,8 @@ import dataclasses
 from fractions import Fraction
 
 import meshes
+import meshio
+import numpy as np
 import pytest
 import torch
 from exact import boundary, directed_edges, double_area, double_areas, edge_counts, inverted, total_area, triangle_set
@@ -505,6 +507,42 @@ def test_fields_are_carried():
     assert m.carry(mesh.fixed).dtype == torch.bool
     with pytest.raises(tm.InvalidMeshError, match="121 old vertices"):
         m.carry(torch.zeros(3))
+
+
+def test_the_map_of_a_batch_falls_into_those_of_its_meshes():
+    batch = tm.join([meshes.grid(8, 8), meshes.ring(16, 4), meshes.l_shape(3)])
+    sizes = 0.7 * size_field(batch, "uniform")
+    after, info = remesh(batch, RemeshOptions(sizes=sizes))
+    assert str(info.vertex_map).startswith("VertexMap(")
+    for b, (part, own) in enumerate(zip(batch.split(), info.vertex_map.split(batch, after), strict=True)):
+        rows = slice(int(batch.point_offsets[b]), int(batch.point_offsets[b + 1]))
+        single, alone = remesh(part, RemeshOptions(sizes=sizes[rows]))
+        for name in ("old_to_new", "new_to_old", "rows", "sources", "weights"):
+            assert torch.equal(getattr(own, name), getattr(alone.vertex_map, name)), name
+        assert len(own.carry(part.points)) == len(single.points)
+
+
+def test_files_keep_their_point_fields(tmp_path):
+    mesh = meshes.grid(8, 8)
+    x, number = mesh.points[:, 0].numpy(), np.arange(len(mesh.points))
+    data = {"temperature": x, "velocity": mesh.points.numpy().astype(">f4"), "number": number}
+    cells = [("triangle", mesh.triangles.numpy())]
+    meshio.Mesh(tm.mesh.lift(mesh).numpy(), cells, point_data=data).write(tmp_path / "in.vtu")
+    given = tm.read(tmp_path / "in.vtu")
+    after, info = remesh(given, RemeshOptions(sizes=lambda p: torch.full((len(p),), 0.07)))
+    tm.write(tmp_path / "out.vtu", after, like=tmp_path / "in.vtu", vertex_map=info.vertex_map)
+    written = meshio.read(tmp_path / "out.vtu")
+    assert len(written.points) == len(after.points) > len(mesh.points)
+    fields = written.point_data
+    assert np.allclose(fields["temperature"], info.vertex_map.carry(torch.from_numpy(x)).numpy())
+    assert fields["velocity"].shape == (len(after.points), 2)
+    kept = info.vertex_map.new_to_old >= 0
+    assert np.array_equal(fields["number"][kept], info.vertex_map.new_to_old[kept])
+    with pytest.warns(tm.MeshWarning, match="point data 'temperature'"):
+        tm.write(tmp_path / "out.vtu", after, like=tmp_path / "in.vtu")
+    wrong = remesh(meshes.grid(3, 3))[1].vertex_map
+    with pytest.raises(tm.InvalidMeshError, match="vertex_map leads from 16 to"):
+        tm.write(tmp_path / "out.vtu", after, like=tmp_path / "in.vtu", vertex_map=wrong)
 
 
 def test_a_vertex_born_of_the_newly_born_goes_back_to_the_first_ones():

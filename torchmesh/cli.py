@@ -18,7 +18,7 @@ from typing import Annotated
 
 import typer
 
-from . import command_batch, command_generate, console, motions
+from . import command_batch, command_generate, command_report, console, motions
 from .choices import (
     BetaOption,
     Boundary,
@@ -181,7 +181,7 @@ def improve(
                 files.enter_context(replacing(report)).write_text(console.json_text(document), encoding="utf-8")
             if plot is not None:
                 before_after(files.enter_context(replacing(plot)), before, after, f"{source.name}: before and after")
-            write(target, after, like=source)
+            write(target, after, like=source, vertex_map=result.vertex_map)
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
     return _verdict(target, int(result.quality.inverted.sum()), result.messages[0])
@@ -384,6 +384,8 @@ def reproduce(
 
 _command(*command_batch.EXAMPLES)(command_batch.batch)
 _command(*command_generate.EXAMPLES)(command_generate.generate)
+_command(*command_report.REPORT_EXAMPLES)(command_report.report)
+_command(*command_report.ANIMATE_EXAMPLES)(command_report.animate)
 
 
 # --- around the work -------------------------------------------------------------------------------

@@ -28,6 +28,26 @@ class VertexMap:
     sources: Tensor
     weights: Tensor
 
+    def __repr__(self) -> str:
+        kept, inserted = int((self.old_to_new >= 0).sum()), int((self.new_to_old < 0).sum())
+        return f"VertexMap({kept} vertices kept, {len(self.old_to_new) - kept} removed, {inserted} inserted)"
+
+    def split(self, before: MeshBatch, after: MeshBatch) -> list["VertexMap"]:
+        """The map of each mesh of the batch `before` that became the batch `after`."""
+        maps = []
+        old, new = before.point_offsets.tolist(), after.point_offsets.tolist()
+        entries = torch.searchsorted(self.rows, after.point_offsets).tolist()
+        for b in range(len(before)):
+            onward, back = self.old_to_new[old[b] : old[b + 1]], self.new_to_old[new[b] : new[b + 1]]
+            here = slice(entries[b], entries[b + 1])
+            maps.append(
+                VertexMap(
+                    torch.where(onward >= 0, onward - new[b], -1), torch.where(back >= 0, back - old[b], -1),
+                    self.rows[here] - new[b], self.sources[here] - old[b], self.weights[here],
+                )
+            )  # fmt: skip
+        return maps
+
     def carry(self, field: Tensor) -> Tensor:
         """(V_old, ...) values at the old vertices to (V_new, ...): floating ones interpolated, others copied.
 

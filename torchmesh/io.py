@@ -19,6 +19,7 @@ import torch
 from . import connectivity, formats
 from .errors import InvalidMeshError, MeshIOError, MeshWarning
 from .file_content import Content, on_triangles, region_names
+from .genealogy import VertexMap
 from .mesh import MeshBatch, lift
 
 
@@ -70,20 +71,19 @@ class Source:
         return cls(path, document, content, _batch(content, path))
 
 
-def held(path: str | os.PathLike[str]) -> torch.Tensor:
+def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     """(V,) bool: the boundary and interface vertices of a file that must not slide; for `improve(..., hold=...)`.
 
     Those of quads and other cells that are not triangles, those of vertex cells (if not every vertex
     has one), those between lines of different tags or sets, and those that the point data `fixed`
     marks, unless it marks the whole boundary, as what `write` stores does.  Raises as `read` does.
     """
-    path = _path(path)
-    content = Content.of(formats.load(path), path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeshWarning)
+        source = path if isinstance(path, Source) else Source.open(path)
+    content, mesh = source.content, source.mesh
     hold = torch.from_numpy(content.pinned | content.seams)
     if content.fixed is not None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)
-            mesh = _batch(content, path)
         rim = connectivity.boundary_vertices(mesh.triangles, connectivity.twins(mesh.triangles), len(hold))
         marked = torch.from_numpy(content.fixed)
         if not bool(marked[rim].all()):
@@ -91,7 +91,12 @@ def held(path: str | os.PathLike[str]) -> torch.Tensor:
     return hold
 
 
-def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike[str] | Source | None = None) -> None:
+def write(
+    path: str | os.PathLike[str],
+    mesh: MeshBatch,
+    like: str | os.PathLike[str] | Source | None = None,
+    vertex_map: VertexMap | None = None,
+) -> None:
     """Writes a batch of one in the format of the path's extension, all or nothing.
 
     With `like`, the file the mesh was read from (it may be `path` itself), everything else of that
@@ -100,6 +105,9 @@ def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike
     that is neither a region nor a number for every cell; when their number or that of the vertices
     did, so is whatever has no place in the new mesh.  Region tags follow the boundary and the
     constrained edges, whatever the order of the rows.  A MeshWarning names what was dropped.
+
+    vertex_map  of a remeshed mesh (`Report.vertex_map`): point data is interpolated at inserted vertices
+                and integers copied; without it, point data of meshes that got other vertices is dropped
 
     `fixed` is stored as point data where `like` has it, or where it is not what `read` would find
     anyway.  Without `like`, constrained edges are stored as line cells.
@@ -115,18 +123,20 @@ def write(path: str | os.PathLike[str], mesh: MeshBatch, like: str | os.PathLike
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeshWarning)  # they were given when the mesh was read
             like = Source.open(like)
-    document, content, same_rows = content_for(path, mesh, like)
+    document, content, same_rows = content_for(path, mesh, like, vertex_map)
     formats.save(path, content, document, same_rows)
 
 
-def content_for(path: Path, mesh: MeshBatch, like: Source | None) -> tuple[formats.Document | None, meshio.Mesh, bool]:
+def content_for(
+    path: Path, mesh: MeshBatch, like: Source | None, vertex_map: VertexMap | None = None
+) -> tuple[formats.Document | None, meshio.Mesh, bool]:
     """What `formats.save` takes to write a batch of one at `path`; a MeshWarning names what is not carried over."""
     mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     if like is None:
         document, content, same_rows = None, _fresh(mesh), False
     else:
         document = like.document
-        content, dropped, same_rows = _carried(mesh, _Carry.plan(mesh, like.content, like.mesh))
+        content, dropped, same_rows = _carried(mesh, _Carry.plan(mesh, like.content, like.mesh, vertex_map))
         dropped += formats.foreign(document, formats.format_of(path), same_rows)
         if dropped:
             text = f"{path}: not carried over from {like.path}: {', '.join(dropped)}"
@@ -203,6 +213,7 @@ class _Carry:
     same_rows    has every triangle the row, and the region, it had
     faces        (T, 3) the triangles to write, wound as in the file
     source       (T,) the old triangle whose region tags each one takes; None: not to be told
+    vertex_map   where new vertices take their fields from; None: not known
     """
 
     content: Content
@@ -212,13 +223,18 @@ class _Carry:
     same_rows: bool
     faces: np.ndarray
     source: np.ndarray | None
+    vertex_map: VertexMap | None = None
 
     @classmethod
-    def plan(cls, mesh: MeshBatch, content: Content, old: MeshBatch) -> "_Carry":
+    def plan(cls, mesh: MeshBatch, content: Content, old: MeshBatch, vertex_map: VertexMap | None = None) -> "_Carry":
         before, after = old.triangles.numpy(), mesh.triangles.numpy()
         same_counts = len(after) == len(before) and len(mesh.points) == len(old.points)
         changed = not same_counts or bool((np.sort(before, 1) != np.sort(after, 1)).any())
-        new_vertex = _new_vertices(old, mesh, changed)
+        if vertex_map is None:
+            new_vertex = _new_vertices(old, mesh, changed)
+        else:
+            _check_map(vertex_map, old, mesh)
+            new_vertex = vertex_map.old_to_new.cpu().numpy()
         region = _new_regions(mesh, old, content.region, new_vertex) if changed else content.region
         if same_counts:
             region = np.where(region < 0, content.region, region)
@@ -232,7 +248,16 @@ class _Carry:
         example = np.zeros(int(content.region.max()) + 1, np.int64)
         example[content.region] = np.arange(len(before))
         source = None if bool((region < 0).any()) else example[region]
-        return cls(content, old, new_vertex, changed, same_rows, faces, source)
+        return cls(content, old, new_vertex, changed, same_rows, faces, source, vertex_map)
+
+
+def _check_map(vertex_map: VertexMap, old: MeshBatch, mesh: MeshBatch) -> None:
+    given, needed = (len(vertex_map.old_to_new), len(vertex_map.new_to_old)), (len(old.points), len(mesh.points))
+    if given != needed:
+        raise InvalidMeshError(
+            f"vertex_map leads from {given[0]} to {given[1]} vertices, but the file has {needed[0]} and the mesh "
+            f"{needed[1]}: give the map of this mesh (VertexMap.split gives those of a batch)"
+        )
 
 
 def _new_vertices(old: MeshBatch, mesh: MeshBatch, changed: bool) -> np.ndarray:
@@ -379,6 +404,9 @@ def _carry_point_data(mesh: MeshBatch, carry: _Carry, result: meshio.Mesh, dropp
             continue
         if (before >= 0).all():
             result.point_data[name] = values[before]
+        elif carry.vertex_map is not None:
+            native = np.ascontiguousarray(values, values.dtype.newbyteorder("="))
+            result.point_data[name] = carry.vertex_map.carry(torch.from_numpy(native)).numpy()
         else:
             dropped.append(f"point data {name!r}")
     for name, members in file.point_sets.items():
