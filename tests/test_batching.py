@@ -58,9 +58,9 @@ def test_results_are_those_of_improve(jobs):
 def test_batches_keep_to_the_budget(jobs, monkeypatch, budget):
     sizes = []
 
-    def counting(batch, options):
+    def counting(batch, options, **more):
         sizes.append(torch.diff(batch.point_offsets).tolist())
-        return improve(batch, options)
+        return improve(batch, options, **more)
 
     monkeypatch.setattr(batching, "improve", counting)
     results = list(improve_jobs(jobs, ImproveOptions(), budget))
@@ -118,10 +118,10 @@ def test_a_mesh_that_cannot_be_mended_is_written_and_said(tmp_path):
 def test_a_batch_that_fails_is_done_mesh_by_mesh(jobs, monkeypatch):
     """No mesh should make `improve` raise; if one does, the others do not pay for it."""
 
-    def failing(batch, options):
+    def failing(batch, options, **more):
         if (torch.diff(batch.point_offsets) == len(meshes.ring().points)).any():
             raise ZeroDivisionError("a bug")
-        return improve(batch, options)
+        return improve(batch, options, **more)
 
     monkeypatch.setattr(batching, "improve", failing)
     results = list(improve_jobs(jobs, ImproveOptions(), 10**6))
@@ -131,11 +131,11 @@ def test_a_batch_that_fails_is_done_mesh_by_mesh(jobs, monkeypatch):
 
 
 def test_a_failed_write_leaves_no_trace(jobs, tmp_path, monkeypatch):
-    def full(path, *_, **__):
+    def full(path, *_):
         Path(path).write_text("half")
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(batching.io, "write", full)
+    monkeypatch.setattr(batching, "write_series", full)
     results = list(improve_jobs(jobs[:1], ImproveOptions(), 1000))
     assert "No space left on device" in results[0].error
     assert (results[0].output, results[0].inverted_after) == (None, None)

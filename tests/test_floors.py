@@ -30,6 +30,7 @@ FLOORS = [
     ["warping", "pyg", "sliding"],
     ["smoothing"],
     ["untangling", "remeshing", "certificate"],
+    ["report"],
     ["losses"],
     # 4
     ["formats_gmsh", "formats_text"],
@@ -40,6 +41,7 @@ FLOORS = [
     ["domains", "nn", "storage", "console", "deformation", "page", "animation", "pyvista_export"],
     ["reproduction", "datasets", "motions"],
     ["manifest", "choices"],
+    ["series"],
     ["batching"],
     ["workers"],
     ["files"],

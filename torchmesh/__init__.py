@@ -22,6 +22,7 @@ from .mesh import MeshBatch, join
 from .paths import largest_step
 from .pipeline import ImproveOptions, Progress, Report, Step, improve
 from .quality import Quality, minimum_angle, quality
+from .series import Series, read_series, write_series
 from .smoothing import MoveInfo, SmoothOptions, smooth
 from .status import Status
 from .targets import MetricField, metric_from, target_from, target_quality
@@ -30,16 +31,20 @@ from .warping import femwarp, relax
 
 if TYPE_CHECKING:
     from . import datasets, domains, losses, nn
+    from .animation import animate
     from .page import report_page
     from .pyg import from_pyg, to_pyg
+    from .pyvista_export import to_pyvista
     from .storage import BatchFile, BatchWriter, load_batch, load_fields, save_batch
 
 # Loaded when first asked for: they import more than torch and numpy, or are of use to few.
 _LAZY_MODULES = ("datasets", "domains", "losses", "nn")
 _LAZY_NAMES = {
+    "animate": "animation",
     "from_pyg": "pyg",
     "report_page": "page",
     "to_pyg": "pyg",
+    "to_pyvista": "pyvista_export",
     "BatchFile": "storage",
     "BatchWriter": "storage",
     "load_batch": "storage",
@@ -61,6 +66,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "animate",
     "BatchFile",
     "BatchWriter",
     "datasets",
@@ -72,6 +78,7 @@ __all__ = [
     "nn",
     "save_batch",
     "to_pyg",
+    "to_pyvista",
     "deform",
     "DeformOptions",
     "DeformReport",
@@ -80,6 +87,9 @@ __all__ = [
     "Problem",
     "ProblemKind",
     "read",
+    "read_series",
+    "Series",
+    "write_series",
     "write",
     "ConvergenceError",
     "FileResult",

@@ -19,12 +19,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from . import io
 from .errors import MeshError, MeshWarning
 from .manifest import FileResult
 from .mesh import MeshBatch, join
 from .pipeline import ImproveOptions, Report, improve
 from .quality import Quality, quality
+from .series import Series, read_series, write_series
 from .status import Status
 
 
@@ -51,9 +55,14 @@ class _Open:
     """A file that was read, on its way."""
 
     job: Job
-    mesh: MeshBatch
+    series: Series  # of one step, most times
     facts: dict = field(default_factory=dict)  # what is known of the result by now
     seconds: float = 0.0
+    hold: Tensor | None = None
+
+    @property
+    def batch(self) -> MeshBatch:
+        return self.series.batch
 
 
 def improve_jobs(jobs: Sequence[Job], options: ImproveOptions, budget: int, label: str = "") -> Iterator[FileResult]:
@@ -67,12 +76,12 @@ def improve_jobs(jobs: Sequence[Job], options: ImproveOptions, budget: int, labe
     waiting: list[_Open] = []
     size = 0
     for job in jobs:
-        opened = _read(job, label)
+        opened = _read(job, options, label)
         if isinstance(opened, FileResult):
             yield opened
             continue
-        count = len(opened.mesh.points)
-        other = bool(waiting) and waiting[0].mesh.points.dtype != opened.mesh.points.dtype
+        count = len(opened.batch.points)
+        other = bool(waiting) and waiting[0].batch.points.dtype != opened.batch.points.dtype
         if waiting and (other or size + count > budget):
             yield from _improve(waiting, options)
             waiting, size = [], 0
@@ -82,7 +91,7 @@ def improve_jobs(jobs: Sequence[Job], options: ImproveOptions, budget: int, labe
         yield from _improve(waiting, options)
 
 
-def _read(job: Job, label: str) -> _Open | FileResult:
+def _read(job: Job, options: ImproveOptions, label: str) -> _Open | FileResult:
     started = time.perf_counter()
     facts: dict = {"options": label, "worker": f"{socket.gethostname()}:{os.getpid()}"}
     try:
@@ -90,21 +99,28 @@ def _read(job: Job, label: str) -> _Open | FileResult:
             warnings.simplefilter("always", MeshWarning)
             with contextlib.suppress(OSError):  # the reader says it better
                 facts |= fingerprint(job.file)
-            mesh = io.read(job.file)
+            series = read_series(job.file)
+            hold = torch.cat([io.held(series.sources[s]) for s in _first_steps(series)]) if options.slides else None
     except Exception as error:
         return _failed(job, facts, error, time.perf_counter() - started)
     facts["warnings"] = _texts(said)
-    facts |= {"vertices": len(mesh.points), "triangles": len(mesh.triangles)}
-    return _Open(job, mesh, facts, time.perf_counter() - started)
+    facts |= {"vertices": len(series.batch.points), "triangles": len(series.batch.triangles), "steps": len(series)}
+    return _Open(job, series, facts, time.perf_counter() - started, hold)
+
+
+def _first_steps(series: Series) -> list[int]:
+    """For each mesh of a series the first step that has it."""
+    return [series.mesh_of_step.index(m) for m in range(len(series.batch))]
 
 
 def _improve(waiting: list[_Open], options: ImproveOptions) -> Iterator[FileResult]:
     """The meshes as one batch; if that raises, which no mesh should make it do, each alone."""
     started = time.perf_counter()
     try:
-        batch = join([opened.mesh for opened in waiting])
+        batch = join([opened.batch for opened in waiting])
         before = quality(batch)
-        after, report = improve(batch, options)
+        hold = torch.cat([opened.hold for opened in waiting if opened.hold is not None]) if options.slides else None
+        after, report = improve(batch, options, hold=hold)
     except Exception as error:
         if len(waiting) == 1:
             spent = waiting[0].seconds + time.perf_counter() - started
@@ -114,19 +130,23 @@ def _improve(waiting: list[_Open], options: ImproveOptions) -> Iterator[FileResu
             yield from _improve([opened], options)
         return
     seconds = time.perf_counter() - started
-    total = sum(len(opened.mesh.triangles) for opened in waiting)
-    for b, (opened, mesh) in enumerate(zip(waiting, after.split(), strict=True)):
-        opened.seconds += seconds * len(opened.mesh.triangles) / total
-        yield _write(opened, mesh, b, before, report)
+    total, meshes, first = len(batch.triangles), after.split(), 0
+    for opened in waiting:
+        rows = slice(first, first + len(opened.batch))
+        first = rows.stop
+        opened.seconds += seconds * len(opened.batch.triangles) / total
+        yield _write(opened, meshes[rows], rows, before, report)
 
 
-def _write(opened: _Open, mesh: MeshBatch, b: int, before: Quality, report: Report) -> FileResult:
+def _write(opened: _Open, meshes: list[MeshBatch], rows: slice, before: Quality, report: Report) -> FileResult:
+    """Writes the meshes of a file, which the batch has at `rows`."""
     started = time.perf_counter()
     job, facts = opened.job, opened.facts
-    facts["inverted_before"], facts["inverted_after"] = int(before.inverted[b]), int(report.quality.inverted[b])
-    for stage, q in (("before", before), ("after", report.quality)):
-        facts[f"imr_average_{stage}"], facts[f"imr_maximum_{stage}"] = float(q.mean[b]), float(q.max[b])
-    facts["message"] = report.messages[b]
+    facts |= _numbers("before", before, opened.batch.split(), rows) | _numbers("after", report.quality, meshes, rows)
+    failed = (~report.valid[rows]).nonzero().squeeze(1).tolist()
+    shown = rows.start + (failed[0] if failed else 0)
+    many = f"mesh {failed[0]} of {len(meshes)}: " if failed and len(meshes) > 1 else ""
+    facts["message"] = many + report.messages[shown]
     target = Path(job.output)
     folder = Path(job.staging) / f"{os.getpid()}"
     try:
@@ -134,7 +154,7 @@ def _write(opened: _Open, mesh: MeshBatch, b: int, before: Quality, report: Repo
             warnings.simplefilter("always", MeshWarning)
             target.parent.mkdir(parents=True, exist_ok=True)
             folder.mkdir(parents=True, exist_ok=True)
-            io.write(folder / target.name, mesh, like=job.file)
+            write_series(folder / target.name, join(meshes), opened.series)
         for made in sorted(folder.iterdir()):
             os.replace(made, target.parent / made.name)
         facts["output_bytes"] = target.stat().st_size
@@ -146,11 +166,22 @@ def _write(opened: _Open, mesh: MeshBatch, b: int, before: Quality, report: Repo
         name=job.name,
         file=job.file,
         output=job.output,
-        status=Status(int(report.status[b])).name.lower(),
-        valid=bool(report.valid[b]),
+        status=Status(int(report.status[shown])).name.lower(),
+        valid=not failed,
         seconds=opened.seconds + time.perf_counter() - started,
         **facts,
     )
+
+
+def _numbers(stage: str, q: Quality, meshes: list[MeshBatch], rows: slice) -> dict:
+    """A file's meshes in numbers: the average is over all their triangles."""
+    weights = torch.tensor([len(mesh.triangles) for mesh in meshes], dtype=torch.float64)
+    average = q.mean[rows].double() @ (weights / weights.sum()) if len(meshes) > 1 else q.mean[rows.start]
+    return {
+        f"inverted_{stage}": int(q.inverted[rows].sum()),
+        f"imr_average_{stage}": float(average),
+        f"imr_maximum_{stage}": float(q.max[rows].max()),
+    }
 
 
 def _failed(job: Job, facts: dict, error: Exception, seconds: float, staged: str = "") -> FileResult:

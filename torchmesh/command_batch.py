@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import console
-from .choices import BetaOption, Method, MethodOption, QuietOption, Topology, TopologyOption, improve_options
+from .choices import (
+    BetaOption,
+    Boundary,
+    BoundaryOption,
+    Method,
+    MethodOption,
+    QuietOption,
+    Topology,
+    TopologyOption,
+    improve_options,
+)
 from .motions import UsageError
 
 if TYPE_CHECKING:
@@ -65,6 +75,7 @@ def batch(
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     beta: BetaOption = None,
+    boundary: BoundaryOption = Boundary.fixed,
     suffix: Annotated[
         str | None,
         typer.Option("--format", metavar="EXT", help="Extension of the results, as vtu.", show_default=False),
@@ -85,7 +96,7 @@ def batch(
     """
     from .files import BUDGET, Run
 
-    options = improve_options(method, topology, beta)
+    options = improve_options(method, topology, beta, boundary)
     try:
         run = Run.plan(sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo)
     except ValueError as error:

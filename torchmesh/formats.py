@@ -94,6 +94,15 @@ def format_of(path: Path) -> str:
     raise MeshIOError(f"{path}: {what}; known ones are {known}")
 
 
+def is_series(path: Path) -> bool:
+    """Does the file hold a time series, as `series` reads it."""
+    if path.suffix.lower() not in FORMATS["xdmf"].extensions:
+        return False
+    with contextlib.suppress(OSError):
+        return re.search(rb"CollectionType\s*=\s*[\"']Temporal", _bytes(path)) is not None
+    return False
+
+
 def load(path: Path) -> Document:
     """Reads a file.  Raises MeshIOError with one line, whatever is wrong with it."""
     try:
@@ -104,12 +113,17 @@ def load(path: Path) -> Document:
         form = format_of(path)
         if path.stat().st_size == 0:
             raise MeshIOError(f"{path}: the file is empty")
-        with _quiet(path, "read", form):
+        with reading(path, form):
             return _load(path, form)
     except MeshError:
         raise
     except OSError as error:
         raise MeshIOError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def reading(path: Path, form: str) -> contextlib.AbstractContextManager[None]:
+    """Inside, whatever goes wrong with the file becomes a MeshIOError of one line, and remarks MeshWarnings."""
+    return _quiet(path, "read", form)
 
 
 def _load(path: Path, form: str) -> Document:
@@ -140,6 +154,8 @@ def _load(path: Path, form: str) -> Document:
         rest = _VtkHead.of(_bytes(path))
     elif form == "permas" and b"$FIN" not in _bytes(path):
         raise ValueError("it does not end with $FIN: truncated")
+    if is_series(path):
+        raise ValueError("it is a time series: read it by read_series, improve it by torchmesh batch")
     reader = importlib.import_module(f"meshio.{form.removesuffix('-xml')}")
     if form in ("mdpa", "tecplot"):
         with _GuardedBytes(io.FileIO(name)) as stream:

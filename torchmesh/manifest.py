@@ -32,7 +32,8 @@ class FileResult:
     valid       no triangle is inverted any more
     error       what went wrong, in one line; None when a mesh was written
     message     why `improve` ended
-    vertices, triangles                      of the input
+    vertices, triangles                      of the input, of all its meshes if it is a time series
+    steps                                    of a time series; 1 otherwise
     inverted_before, inverted_after          inverted triangles
     imr_average_before, imr_average_after    inverse mean ratio; None where it is infinite
     imr_maximum_before, imr_maximum_after    (a triangle without area) or where there is no mesh
@@ -54,6 +55,7 @@ class FileResult:
     message: str = ""
     vertices: int | None = None
     triangles: int | None = None
+    steps: int | None = None
     inverted_before: int | None = None
     inverted_after: int | None = None
     imr_average_before: float | None = None
@@ -145,7 +147,7 @@ def tidy(folder: Path) -> None:
 
 
 # The columns of the table that are not text: a column of nulls alone has no type to be guessed from.
-_WHOLE = ("vertices", "triangles", "inverted_before", "inverted_after", "bytes", "modified", "output_bytes")
+_WHOLE = ("vertices", "triangles", "steps", "inverted_before", "inverted_after", "bytes", "modified", "output_bytes")
 _REAL = ("imr_average_before", "imr_average_after", "imr_maximum_before", "imr_maximum_after", "seconds")
 
 
