@@ -102,18 +102,42 @@ def target_from(reference: MeshBatch) -> Tensor:
     return torch.stack([b - a, c - a], 2)
 
 
-def metric_from(reference: MeshBatch) -> MetricField:
+def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricField:
     """The metric in which the triangles of `reference` are nearly equilateral, at its vertices.
 
+    moved  the same triangles after a deformation: the metric keeps its anisotropy, and turns so that
+           triangles are long in the direction in which the deformed ones are.  A layer of thin
+           triangles follows a wall that bends, whatever shear the deformation brought
+
     At each vertex the mean over its triangles of the metric in which that triangle is equilateral,
-    M = E^-T W^T W E^-1 with W the equilateral triangle, each scaled to determinant 1.  It keeps a
-    boundary layer while edges flip, as long as the layer is not turned.  Raises InvalidMeshError as
-    `target_from` does.
+    M = E^-T W^T W E^-1 with W the equilateral triangle, each scaled to determinant 1.  Raises
+    InvalidMeshError as `target_from` does, and when `moved` has other triangles.
     """
-    edges = target_from(reference)
-    e1x, e1y, e2x, e2y = edges[:, 0, 0], edges[:, 1, 0], edges[:, 0, 1], edges[:, 1, 1]
-    # M E = (rows of the cofactors of E) up to scale: 4/3 (|f1|^2 - f1.f2 + |f2|^2) = 1 at the edges.
-    metric = torch.stack(
+    metric = _equilateral_metric(target_from(reference))
+    determinant = metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]
+    metric = metric / determinant.sqrt()[:, None]
+    if moved is not None:
+        if not torch.equal(reference.triangles, moved.triangles):
+            raise InvalidMeshError("metric_from needs a moved mesh with the reference's triangles, in their order")
+        a, b, c = moved.points.to(torch.float64)[moved.triangles].unbind(1)
+        metric = _turned(metric, _equilateral_metric(torch.stack([b - a, c - a], 2)))
+    total = metric.new_zeros((len(reference.points), 3))
+    for corner in range(3):
+        total.index_add_(0, reference.triangles[:, corner], metric)
+    # Vertices of no triangle have any metric.
+    total[total[:, 0] == 0] = total.new_tensor([1.0, 0.0, 1.0])
+    return MetricField(total)
+
+
+def _equilateral_metric(edges: Tensor) -> Tensor:
+    """(T, 3) a metric in which the triangles of `edges` (T, 2, 2) are equilateral, of any size.
+
+    The adjugate of E C E^T with C = [[1, -1/2], [-1/2, 1]], which is W^-1 W^-T up to a factor.
+    """
+    size = edges.abs().amax((1, 2))
+    e = edges / torch.where(size > 0, size, 1.0)[:, None, None]
+    e1x, e1y, e2x, e2y = e[:, 0, 0], e[:, 1, 0], e[:, 0, 1], e[:, 1, 1]
+    return torch.stack(
         [
             e1y * e1y + e2y * e2y - e1y * e2y,
             -(e1x * e1y + e2x * e2y - 0.5 * (e1x * e2y + e2x * e1y)),
@@ -121,15 +145,21 @@ def metric_from(reference: MeshBatch) -> MetricField:
         ],
         1,
     )
-    determinant = metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]
-    metric = metric / determinant.sqrt()[:, None]
-    total = metric.new_zeros((len(reference.points), 3))
-    for corner in range(3):
-        total.index_add_(0, reference.triangles[:, corner], metric)
-    # Vertices of no triangle have any metric.
-    unused = total[:, 0] == 0
-    total[unused] = total.new_tensor([1.0, 0.0, 1.0])
-    return MetricField(total)
+
+
+def _turned(metric: Tensor, direction: Tensor) -> Tensor:
+    """(T, 3) metrics with the eigenvalues of `metric` and the eigenvectors of `direction`, each (T, 3).
+
+    A symmetric matrix is its half trace times I plus a deviator, whose size is half the difference
+    of the eigenvalues and whose ratio of entries tells the directions.
+    """
+    half_trace, own = 0.5 * (metric[:, 0] + metric[:, 2]), 0.5 * (metric[:, 0] - metric[:, 2])
+    size = (own * own + metric[:, 1] * metric[:, 1]).sqrt()
+    plain, oblique = 0.5 * (direction[:, 0] - direction[:, 2]), direction[:, 1]
+    there = (plain * plain + oblique * oblique).sqrt()
+    factor = size / torch.where(there > 0, there, 1.0)
+    plain, oblique = torch.where(there > 0, factor * plain, own), torch.where(there > 0, factor * oblique, metric[:, 1])
+    return torch.stack([half_trace + plain, oblique, half_trace - plain], 1)
 
 
 def target_quality(batch: MeshBatch, targets: Targets) -> Tensor:
