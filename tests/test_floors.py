@@ -16,7 +16,7 @@ FLOORS = [
     # 0
     ["segments", "triangle", "predicates", "status", "errors"],
     # 1
-    ["connectivity", "energies", "stiffness", "lbfgs"],
+    ["connectivity", "energies", "stiffness", "lbfgs", "sharding"],
     ["flipping", "packing", "insertion", "hessian", "editing"],
     ["polygons", "obstructions", "rails", "collapsing", "splitting"],
     ["meshing"],
@@ -30,6 +30,7 @@ FLOORS = [
     ["warping", "pyg", "sliding"],
     ["smoothing"],
     ["untangling", "remeshing", "certificate"],
+    ["relocation"],
     ["report"],
     ["losses"],
     # 4

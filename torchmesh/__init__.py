@@ -22,7 +22,9 @@ from .mesh import MeshBatch, join
 from .paths import largest_step
 from .pipeline import ImproveOptions, Progress, Report, Step, improve
 from .quality import Quality, minimum_angle, quality
+from .remeshing import RemeshInfo, RemeshOptions, remesh
 from .series import Series, read_series, write_series
+from .sizing import SizeConformity, size_conformity, size_field
 from .smoothing import MoveInfo, SmoothOptions, smooth
 from .status import Status
 from .targets import MetricField, metric_from, target_from, target_quality
@@ -122,6 +124,13 @@ __all__ = [
     "minimum_angle",
     "quality",
     "relax",
+    "remesh",
+    "RemeshInfo",
+    "RemeshOptions",
+    "size_conformity",
+    "size_field",
+    "SizeConformity",
+    "VertexMap",
     "report_page",
     "smooth",
     "target_from",

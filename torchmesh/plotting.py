@@ -116,7 +116,7 @@ def plot_mesh(
 
     shape = _corner_points(mesh)
     low, high = shape.min(1), shape.max(1)
-    view = _grown(_extent(mesh), 0.02) if region is None else region
+    view = view_of(mesh) if region is None else region
     ax.set_xlim(view[0], view[2])
     ax.set_ylim(view[1], view[3])
     ax.set_aspect("equal", adjustable="box")
@@ -172,15 +172,15 @@ def before_after(path: str | os.PathLike[str], before: MeshBatch, after: MeshBat
     Raises MeshIOError, and MissingDependencyError without matplotlib.
     """
     path = check_picture_path(path)
-    view = _grown(_joint(_extent(before), _extent(after)), 0.02)
-    sheet = _Sheet(view, rows=2, title=title, histograms=True)
+    view = view_of(before, after)
+    sheet = Sheet(view, rows=2, title=title, histograms=True)
     measured = [measure(before), measure(after)]
-    close_up = _within(worst_place(before, measured[0], sheet.heights[1] / sheet.panel[0]), view)
+    close_up = within(worst_place(before, measured[0], sheet.heights[1] / sheet.panel[0]), view)
     fill = None
     for column, (name, mesh, q) in enumerate(zip(("before", "after"), (before, after), measured, strict=True)):
         ax = sheet.axes(0, column)
         fill = plot_mesh(ax, mesh, q, view, frame=close_up)
-        ax.set_title(_summary(f"{name}:", mesh, q, sheet.panel[0]), fontsize=10)
+        ax.set_title(summary(f"{name}:", mesh, q, sheet.panel[0]), fontsize=10)
         ax = sheet.axes(1, column)
         plot_mesh(ax, mesh, q, close_up)
         ax.set_title(f"{name}, close-up (red rectangle)", fontsize=10)
@@ -196,13 +196,13 @@ def with_close_up(path: str | os.PathLike[str], mesh: MeshBatch, close_up: Box, 
     Raises as `before_after`.
     """
     path = check_picture_path(path)
-    view = _grown(_extent(mesh), 0.02)
-    sheet = _Sheet(view, rows=1, title=title)
+    view = view_of(mesh)
+    sheet = Sheet(view, rows=1, title=title)
     q = measure(mesh)
-    close_up = _within(_shaped(close_up, _aspect(sheet.panel)), view)
+    close_up = within(_shaped(close_up, _aspect(sheet.panel)), view)
     ax = sheet.axes(0, 0)
     fill = plot_mesh(ax, mesh, q, view, frame=close_up)
-    ax.set_title(_summary("(a)", mesh, q, sheet.panel[0]), fontsize=10)
+    ax.set_title(summary("(a)", mesh, q, sheet.panel[0]), fontsize=10)
     ax = sheet.axes(0, 1)
     plot_mesh(ax, mesh, q, close_up)
     ax.set_title("(b) close-up of the red rectangle", fontsize=10)
@@ -241,7 +241,7 @@ def worst_place(mesh: MeshBatch, quality: Quality, aspect: float = 1.0) -> Box:
     return _shaped((*(middle - half).tolist(), *(middle + half).tolist()), aspect)
 
 
-class _Sheet:
+class Sheet:
     """A figure of two columns of equal panels, a colour bar at their right, and perhaps histograms below."""
 
     def __init__(self, view: Box, rows: int, title: str | None, histograms: bool = False) -> None:
@@ -365,8 +365,10 @@ def _extent(mesh: MeshBatch) -> Box:
     return (*shape.min(0).tolist(), *shape.max(0).tolist())
 
 
-def _joint(one: Box, other: Box) -> Box:
-    return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
+def view_of(*meshes: MeshBatch) -> Box:
+    """All of the meshes, with a narrow margin."""
+    low_x, low_y, high_x, high_y = zip(*map(_extent, meshes), strict=True)
+    return _grown((min(low_x), min(low_y), max(high_x), max(high_y)), 0.02)
 
 
 def _grown(box: Box, part: float) -> Box:
@@ -381,7 +383,7 @@ def _shaped(box: Box, aspect: float) -> Box:
     return x - width / 2, y - width * aspect / 2, x + width / 2, y + width * aspect / 2
 
 
-def _within(box: Box, view: Box) -> Box:
+def within(box: Box, view: Box) -> Box:
     """The box moved into the view, as far as it fits there."""
     dx = max(view[0] - box[0], 0.0) + min(view[2] - box[2], 0.0)
     dy = max(view[1] - box[1], 0.0) + min(view[3] - box[3], 0.0)
@@ -404,8 +406,8 @@ def _rgb(colour: str) -> tuple[float, float, float]:
     return to_rgb(colour)
 
 
-def _summary(name: str, mesh: MeshBatch, q: Quality, inches: float) -> str:
-    """A line on a mesh, or two where a line is too long for so many inches."""
+def summary(name: str, mesh: MeshBatch, q: Quality, inches: float) -> str:
+    """A name and a mesh in numbers, in one line, or in two where one is too long for so many inches."""
     ratio, count = q.inverse_mean_ratio, len(mesh.triangles)
     numbers = f"{name} {count:,} triangle{'' if count == 1 else 's'}, {int(q.inverted.sum()):,} inverted,"
     shapes = f"IMR average {short(float(ratio.mean()))}, maximum {short(float(ratio.max()))}"
