@@ -16,6 +16,7 @@ from .errors import (
     MissingDependencyError,
 )
 from .files import improve_files
+from .genealogy import VertexMap
 from .io import held, read, write
 from .manifest import FileResult
 from .mesh import MeshBatch, join
