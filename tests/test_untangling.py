@@ -199,7 +199,7 @@ def test_target_areas_sum_to_the_enclosed_area(name):
 
 
 def test_local_size_grows_where_the_mesh_is_coarse():
-    sizes = local_size(meshes.ring(16, 12, 0.1, 3.0))
+    sizes = local_size(meshes.ring(16, 12, 0.1, 3.0), 20)
     # As many edges on a circle thirty times as long; the field is smoothed, so that it grows less.
     assert float(sizes[-16:].min()) > 1.5 * float(sizes[:16].max())
 

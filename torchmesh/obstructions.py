@@ -111,5 +111,5 @@ def _empty_by_program(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
     for row in range(len(edges)):
         rows = np.concatenate([-normal[row], np.ones((edges.shape[1], 1))], 1)
         best = linprog([0, 0, -1], rows, -offset[row], bounds=[(None, None), (None, None), (None, 1)])
-        empty[row] = best.status == 0 and best.x[2] < -_SHORT
+        empty[row] = best.x is not None and best.x[2] < -_SHORT
     return empty

@@ -12,7 +12,7 @@ Every mesh goes down its own road; the meshes on one stretch of road travel as o
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import torch
@@ -22,19 +22,18 @@ from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
-from .errors import ConvergenceError
-from .genealogy import VertexMap
-from .mesh import MeshBatch, corners_of, join, put, put_twins, select_twins, touching
-from .pockets import untangle_by_pockets
-from .quality import Quality, quality
+from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
+from .pockets import untangle_batch_by_pockets
+from .quality import quality
 from .remeshing import RemeshInfo, Remeshing, RemeshOptions
-from .segments import spread
+from .report import Progress, Report, Step
+from .segments import segment_count, spread
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
 from .targets import MetricField, check_topology, narrow
-from .untangling import UntangleOptions, small_triangles, untangle
-from .warping import relax
+from .untangling import UntangleOptions, check_reference, small_triangles, untangle
+from .warping import femwarp, relax
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,14 @@ class ImproveOptions:
     smooth            the smoothing steps
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
+    reference         the same meshes undeformed, with the same triangles, if the caller has them: tangled
+                      interiors are first put where FEMWARP carries those of the reference, and the last
+                      untangling has each triangle's undeformed shape and size as its target.  It is of
+                      no use, and refused, once edges have flipped since
     boundary          "fixed": boundary and constrained edges stay; "slide": once the mesh is valid, their
                       vertices move along the given curves, corners excepted (`SmoothOptions.boundary`)
+    workers           processes that share a large batch, on Linux, under topology "keep" or "flip"; None: as
+                      many as torch has threads (`torch.set_num_threads`, OMP_NUM_THREADS); 1: this one only
     """
 
     method: Literal["default", "paper"] = "default"
@@ -61,6 +66,8 @@ class ImproveOptions:
     smooth_rounds: int = 15
     boundary: Literal["fixed", "slide"] = "fixed"
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
+    reference: MeshBatch | None = None
+    workers: int | None = None
 
     def __post_init__(self) -> None:
         if self.method not in ("default", "paper"):
@@ -74,6 +81,8 @@ class ImproveOptions:
         if self.slides and self.topology not in ("keep", "flip"):
             raise ValueError(f"ImproveOptions.boundary='slide' needs topology 'keep' or 'flip', not {self.topology!r}")
         check_topology(self.smooth.targets, self.topology)
+        if self.workers is not None and self.workers < 1:
+            raise ValueError(f"ImproveOptions.workers must be at least 1, not {self.workers}")
         for name in ("untangle_rounds", "smooth_rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"ImproveOptions.{name} must be at least 1, not {getattr(self, name)}")
@@ -102,88 +111,6 @@ class ImproveOptions:
         return cls(**(settings | changes))
 
 
-@dataclass(frozen=True)
-class Step:
-    """One row of the paper's tables for one mesh: its state after a stage, and what the stage took.
-
-    seconds are wall time of the stage, shared by all the meshes that were in it.
-    """
-
-    stage: str
-    mean: float
-    max: float
-    inverted: int
-    flips: int
-    iterations: int
-    seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """What `improve` did, per mesh (B,).
-
-    status     int64 `Status`
-    valid      bool, every triangle is upright by exact sign
-    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given; no
-               fixed vertex has moved but those that slide
-    quality    `Quality` at the end
-    steps      for every mesh its rows of the paper's tables, in order
-    messages   for every mesh, why it ended
-    remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
-               vertices; None under the other topologies
-    """
-
-    status: Tensor
-    valid: Tensor
-    certified: Tensor
-    quality: Quality
-    steps: list[list[Step]]
-    messages: list[str]
-    remeshed: RemeshInfo | None = None
-
-    @property
-    def vertex_map(self) -> VertexMap | None:
-        """How the returned vertices answer to the given ones; None where they are the same."""
-        return None if self.remeshed is None else self.remeshed.vertex_map
-
-    def check(self) -> "Report":
-        """Raise ConvergenceError, naming the meshes, unless every mesh is valid; else return the report."""
-        failed = (~self.valid).nonzero().squeeze(1).tolist()
-        if failed:
-            shown = "; ".join(
-                f"mesh {b}: {int(self.quality.inverted[b])} inverted, {self.messages[b]}" for b in failed[:10]
-            )
-            more = f"; and {len(failed) - 10} more" if len(failed) > 10 else ""
-            raise ConvergenceError(f"{len(failed)} of {len(self.valid)} meshes are not valid: {shown}{more}")
-        return self
-
-    def to_dict(self) -> list[dict[str, Any]]:
-        """One plain record a mesh, for JSON."""
-        return [
-            {
-                "mesh": b,
-                "status": Status(int(self.status[b])).name.lower(),
-                "message": self.messages[b],
-                "valid": bool(self.valid[b]),
-                "certified": bool(self.certified[b]),
-                "steps": [vars(step) for step in self.steps[b]],
-            }
-            for b in range(len(self.valid))
-        ]
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where `improve` is: the stage, meshes in it, their inverted triangles, and within a
-    minimisation its iteration and total energy."""
-
-    stage: str
-    meshes: int
-    inverted: int
-    iteration: int = 0
-    energy: float | None = None
-
-
 def improve(
     batch: MeshBatch,
     options: ImproveOptions | None = None,
@@ -204,8 +131,12 @@ def improve(
               `animate`; first with "initial" and the batch as given.  With one mesh, the calls are the rows of
               `report.steps[0]`
     hold      (V,) bool, vertices that do not slide; needs boundary="slide", without which none does
+
+    Raises InvalidMeshError when `options.reference` is not a valid mesh of the same triangles.
     """
     options = options or ImproveOptions()
+    if options.reference is not None:
+        check_reference(batch, options.reference)
     job = _Job(batch, options, progress, observe, hold)
     job.diagnose()
     if options.method == "paper":
@@ -213,6 +144,7 @@ def improve(
     else:
         job.untangle()
         job.refine()
+    job.count_moved()
     if options.topology == "full":
         job.remesh()
     return job.batch, job.report()
@@ -250,7 +182,7 @@ class _Job:
         self.steps: list[list[Step]] = [[] for _ in range(len(batch))]
         everything = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
         none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
-        self._log("initial", everything, none, none, 0.0)
+        self._log("initial", everything, 0.0, none, none, none, everything)
 
     @property
     def stays(self) -> Tensor:
@@ -306,6 +238,12 @@ class _Job:
     def untangle(self) -> None:
         """Every way that is left, in order of cost, for the meshes that are still tangled."""
         may_flip = self.options.topology != "keep"
+        reference = self.options.reference
+        if reference is not None:
+            known = reference.select(self.tangled)
+            self._try(
+                "femwarp", self.given, lambda part: (femwarp(replace(known, fixed=part.fixed), part.points), None)
+            )
         self._try("relax", self.given, lambda part: (relax(part), None))
         relaxed = self.batch
         if may_flip:
@@ -316,10 +254,9 @@ class _Job:
                 self._untangle("untangle-beta", going & self.tangled, self.options.untangle)
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
-            self._try("pockets", self.batch, _by_pockets)
-        regularised = UntangleOptions("regularised")
-        for origin in (self.given, relaxed):
-            self._try("regularised", origin, lambda part: untangle(part, regularised))
+            self._try("pockets", self.batch, untangle_batch_by_pockets)
+        for origin, options in ((self.given, UntangleOptions()), (relaxed, UntangleOptions(size_sweeps=(100,)))):
+            self._regularised(origin, options)
         self.status[self.tangled] = Status.STALLED
 
     def refine(self) -> None:
@@ -348,6 +285,11 @@ class _Job:
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
+    def count_moved(self) -> None:
+        """How many vertices are not where they were given."""
+        elsewhere = (self.batch.points != self.given.points).any(1)
+        self.moved = segment_count(elsewhere, self.given.point_offsets)
+
     def remesh(self) -> None:
         """Splits and collapses where they make the valid meshes better."""
         at = self.quality.inverted == 0
@@ -366,7 +308,7 @@ class _Job:
         certified = valid & same_frame(
             self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map
         )
-        return Report(self.status, valid, certified, self.quality, self.steps, messages, self.remeshed)
+        return Report(self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed)
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions, near: Tensor | None = None) -> Tensor:
         """Flip in the meshes `at`, at the vertices `near` (V,) bool to begin with; returns the flips (B,)."""
@@ -420,9 +362,16 @@ class _Job:
             now = self.batch.select(at)
             done(
                 put(now, better, part.select(better)) if bool(better.any()) else now,
-                iterations=None if info is None else info.iterations,
+                iterations=getattr(info, "iterations", None),
+                pockets=getattr(info, "pockets", None),
+                kept=better,
             )
             self._twin = None
+
+    def _regularised(self, origin: MeshBatch, options: UntangleOptions) -> None:
+        reference = self.options.reference
+        known = None if reference is None else reference.select(self.tangled)
+        self._try("regularised", origin, lambda part: untangle(part, options, reference=known))
 
     @contextmanager
     def _stage(self, stage: str, at: Tensor) -> Iterator[Callable[..., None]]:
@@ -436,22 +385,29 @@ class _Job:
             flips: Tensor | None = None,
             iterations: Tensor | None = None,
             twin: Tensor | None = None,
+            pockets: Tensor | None = None,
+            kept: Tensor | None = None,
         ) -> None:
             if twin is not None and self._twin is not None:
                 self._twin = put_twins(self.batch, self._twin, at, twin)
             self.batch = put(self.batch, at, part)
             self.quality = self.quality.put(at, self.batch.triangle_offsets, quality(part))
             seconds = time.perf_counter() - started
-            self._log(stage, at, none if flips is None else flips, none if iterations is None else iterations, seconds)
+            every = torch.ones_like(none, dtype=torch.bool)
+            counts = [none if c is None else c for c in (flips, iterations, pockets)]
+            self._log(stage, at, seconds, *counts, every if kept is None else kept)
 
         yield done
 
-    def _log(self, stage: str, at: Tensor, flips: Tensor, iterations: Tensor, seconds: float) -> None:
+    def _log(self, stage: str, at: Tensor, seconds: float, *columns: Tensor) -> None:
+        """`columns`: flips, iterations, pockets and kept of the meshes `at`."""
         q = self.quality
-        columns = (q.mean[at], q.max[at], q.inverted[at], flips, iterations)
-        meshes = at.nonzero().squeeze(1).tolist()
-        for b, mean, worst, inverted, flipped, steps in zip(meshes, *(c.tolist() for c in columns), strict=True):
-            self.steps[b].append(Step(stage, mean, worst, inverted, flipped, steps, seconds))
+        rows = zip(
+            *(c.tolist() for c in (at.nonzero().squeeze(1), q.mean[at], q.max[at], q.inverted[at], *columns)),
+            strict=True,
+        )
+        for b, mean, worst, inverted, flips, iterations, pockets, kept in rows:
+            self.steps[b].append(Step(stage, mean, worst, inverted, flips, iterations, seconds, pockets, kept))
         if self.observe is not None:
             self.observe(stage, self.batch)
 
@@ -465,10 +421,6 @@ class _Job:
                 report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
 
         return monitor
-
-
-def _by_pockets(batch: MeshBatch) -> tuple[MeshBatch, None]:
-    return join([untangle_by_pockets(mesh).mesh for mesh in batch.split()]), None
 
 
 def _near(batch: MeshBatch, core: Tensor, rings: int) -> Tensor:

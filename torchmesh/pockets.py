@@ -6,6 +6,7 @@ inside, else where there is room.  Euler's formula gives back the pocket's numbe
 the new ones take the old rows.  Every sign is exact; the result is checked as a whole.
 """
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from torch import Tensor
 from . import connectivity
 from .errors import InvalidMeshError
 from .insertion import Obstacle, Triangulation, signs
-from .mesh import MeshBatch
+from .mesh import MeshBatch, join
 from .polygons import crossing_pairs, locate, loops_of, triangulate_polygon, unit_exponent
 
 # Of free vertices nearer to each other than this part of the pocket's mean spacing only one stays.
@@ -31,6 +32,7 @@ class Retriangulation:
     reason     why not, with vertex numbers; "" when ok
     moved      (V,) bool, vertices that are in another place
     rewritten  (T,) bool, rows of triangles that were made anew
+    pockets    how many pieces were made anew
     """
 
     mesh: MeshBatch
@@ -38,6 +40,7 @@ class Retriangulation:
     reason: str
     moved: Tensor
     rewritten: Tensor
+    pockets: int = 0
 
 
 def retriangulate(mesh: MeshBatch, pocket: Tensor, keep: Tensor | None = None) -> Retriangulation:
@@ -99,7 +102,21 @@ def untangle_by_pockets(mesh: MeshBatch, keep: Tensor | None = None) -> Retriang
         reasons = [r for r in [why_not_certified(mesh, result.mesh, everything)] if r]
     if not reasons:
         return result
-    return Retriangulation(result.mesh, False, "; ".join(reasons), result.moved, result.rewritten)
+    return dataclasses.replace(result, ok=False, reason="; ".join(reasons))
+
+
+@dataclass(frozen=True, eq=False)
+class PocketsInfo:
+    """What `untangle_batch_by_pockets` did: (B,) int64 pieces made anew in each mesh."""
+
+    pockets: Tensor
+
+
+def untangle_batch_by_pockets(batch: MeshBatch) -> tuple[MeshBatch, PocketsInfo]:
+    """`untangle_by_pockets` on each mesh of a batch."""
+    results = [untangle_by_pockets(mesh) for mesh in batch.split()]
+    made = torch.tensor([r.pockets for r in results], dtype=torch.int64, device=batch.points.device)
+    return join([r.mesh for r in results]), PocketsInfo(made)
 
 
 def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
@@ -153,6 +170,7 @@ class _Work:
         self.walls = np.sort(self._keys(*_numpy(mesh.constrained_edges).T))
         self.moved = np.zeros(len(original), bool)
         self.rewritten = np.zeros(len(self.triangles), bool)
+        self.pockets = 0
         self._refresh()
 
     def region(self) -> np.ndarray:
@@ -205,6 +223,7 @@ class _Work:
         self.points[vertices[moved]] = points[moved]
         self.moved[vertices[moved]] = True
         self.rewritten[rows] = True
+        self.pockets += 1
         return ""
 
     def result(self, mesh: MeshBatch) -> Retriangulation:
@@ -215,7 +234,9 @@ class _Work:
         points = torch.where(moved[:, None], places, mesh.points)
         triangles = torch.from_numpy(self.triangles).to(device)
         rewritten = torch.from_numpy(self.rewritten).to(device)
-        return Retriangulation(mesh.with_points(points).with_triangles(triangles), True, "", moved, rewritten)
+        return Retriangulation(
+            mesh.with_points(points).with_triangles(triangles), True, "", moved, rewritten, self.pockets
+        )
 
     def _keys(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         return np.minimum(u, v) * len(self.points) + np.maximum(u, v)
@@ -328,4 +349,5 @@ def _triangles_of_one(mesh: MeshBatch) -> Tensor:
 def _unchanged(mesh: MeshBatch, reason: str) -> Retriangulation:
     device = mesh.points.device
     nowhere = [torch.zeros(len(rows), dtype=torch.bool, device=device) for rows in (mesh.points, mesh.triangles)]
-    return Retriangulation(mesh, False, reason, *nowhere)
+    moved, rewritten = nowhere
+    return Retriangulation(mesh, False, reason, moved, rewritten)

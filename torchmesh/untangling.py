@@ -6,15 +6,16 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from .energies import Regularised, Target, UntangleBeta, equilateral
+from .energies import Regularised, Target, UntangleBeta, equilateral, select_rows, target_of
+from .errors import InvalidMeshError
 from .lbfgs import BLOCK, LbfgsOptions, minimise
-from .mesh import MeshBatch
+from .mesh import MeshBatch, put, triangle_mesh
 from .packing import MeshObjective, Packing, pack
 from .quality import upright
-from .segments import counts_from_offsets, segment_any, segment_min, segment_sum, spread
+from .segments import counts_from_offsets, segment_any, segment_count, segment_min, segment_sum, spread
 from .smoothing import Monitor, MoveInfo, vertex_size
 from .status import Status
-from .triangle import SQRT3, corners, signed_area
+from .triangle import SQRT3, Corners, corners, signed_area
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class UntangleOptions:
     beta               beta of "beta": the area below which a triangle is pushed, as a part of the
                        mesh's mean absolute area
     absolute_beta      beta in the mesh's own unit of area instead, as printed in Kim 2017 (0.01 there)
+    size_sweeps        how often the target sizes of "regularised" are averaged over neighbours: each in
+                       turn until a mesh is valid, from where it was given
     max_iterations     L-BFGS steps tried at most, for "regularised" per value of epsilon
     max_continuations  values of epsilon tried at most
     """
@@ -33,8 +36,9 @@ class UntangleOptions:
     method: Literal["regularised", "beta"] = "regularised"
     beta: float = 0.01
     absolute_beta: float | None = None
-    max_iterations: int = 100
-    max_continuations: int = 30
+    size_sweeps: tuple[int, ...] = (100, 20, 1000)
+    max_iterations: int = 500
+    max_continuations: int = 100
 
     def __post_init__(self) -> None:
         if self.method not in ("regularised", "beta"):
@@ -42,6 +46,8 @@ class UntangleOptions:
         for name in ("max_iterations", "max_continuations"):
             if getattr(self, name) < 1:
                 raise ValueError(f"UntangleOptions.{name} must be at least 1, not {getattr(self, name)}")
+        if not self.size_sweeps or min(self.size_sweeps) < 0:
+            raise ValueError(f"UntangleOptions.size_sweeps must be numbers, none negative, not {self.size_sweeps!r}")
         for name in ("beta", "absolute_beta"):
             value = getattr(self, name)
             if value is not None and not value >= 0:
@@ -52,29 +58,96 @@ def untangle(
     batch: MeshBatch,
     options: UntangleOptions | None = None,
     *,
+    reference: MeshBatch | None = None,
     free: Tensor | None = None,
     monitor: Monitor | None = None,
 ) -> tuple[MeshBatch, MoveInfo]:
     """Move the free vertices until every triangle is upright, if that can be had with these triangles.
 
     A mesh without inverted triangles comes back unmoved.  `info.status` is `Status.VALID` for
-    every mesh that ends valid.
+    every mesh that ends valid; of the others what comes back is the try with the fewest inverted
+    triangles.
 
-    free     (V,) bool, move only these of the vertices that are not fixed
-    monitor  called with the iteration and the energies of the meshes still running
+    reference  the meshes undeformed, the same triangles, all upright: the first try of "regularised"
+               has each triangle's own undeformed shape and size as its target
+    free       (V,) bool, move only these of the vertices that are not fixed
+    monitor    called with the iteration and the energies of the meshes still running
+
+    Raises InvalidMeshError when the reference's triangles are others, or one is not upright.
     """
     options = options or UntangleOptions()
+    if reference is not None:
+        check_reference(batch, reference)
     tangled = segment_any(~upright(batch), batch.triangle_offsets)
     may_move = ~batch.fixed & spread(tangled, batch.point_offsets)
     if free is not None:
         may_move &= free
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
-    method = _untangle_beta if options.method == "beta" else _regularised
-    unknowns, info = method(batch, packing, options, monitor)
-    moved = batch.with_points(packing.unpack(unknowns, batch.points))
+    if options.method == "beta":
+        unknowns, info = _untangle_beta(batch, packing, options, monitor)
+        return _judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
+    target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
+    moved, info = _try_regularised(batch, packing, target, size, options, monitor)
+    rest = options.size_sweeps[1:] if reference is None else options.size_sweeps
+    for sweeps in rest:
+        again = info.status != Status.VALID
+        if not bool(again.any()):
+            break
+        part, movable = batch.select(again), may_move[spread(again, batch.point_offsets)]
+        small = pack(part.points, part.triangles, movable, part.point_offsets, part.triangle_offsets)
+        tried, its = _try_regularised(part, small, *_local_target(part, sweeps), options, monitor)
+        fewer = _inverted(tried) < _inverted(moved)[again]
+        now = moved.select(again)
+        moved = put(moved, again, put(now, fewer, tried.select(fewer)) if bool(fewer.any()) else now)
+        info = _merged(info, again, its, fewer)
+    return moved, info
+
+
+def check_reference(batch: MeshBatch, reference: MeshBatch) -> None:
+    """Raise InvalidMeshError, naming the mesh, unless `reference` has the triangles of `batch`, all upright."""
+    if not torch.equal(batch.triangle_offsets, reference.triangle_offsets) or not torch.equal(
+        batch.point_offsets, reference.point_offsets
+    ):
+        raise InvalidMeshError(
+            f"the reference has {len(reference)} meshes, {len(reference.points)} points and "
+            f"{len(reference.triangles)} triangles, not the batch's {len(batch)}, {len(batch.points)} and "
+            f"{len(batch.triangles)}, mesh by mesh"
+        )
+    for problem, rows in (
+        (
+            "is another triangle than the batch's: order and corners must be the same",
+            reference.triangles != batch.triangles,
+        ),
+        ("is inverted in the reference, which must be a valid mesh", ~upright(reference)[:, None]),
+    ):
+        bad = rows.any(1)
+        if bool(bad.any()):
+            row = int(bad.nonzero()[0, 0])
+            b = int(triangle_mesh(batch)[row])
+            row -= int(batch.triangle_offsets[b])
+            raise InvalidMeshError(f"mesh {b}: triangles row {row} {problem}")
+
+
+def _judged(batch: MeshBatch, moved: MeshBatch, info: MoveInfo) -> tuple[MeshBatch, MoveInfo]:
+    """The status by exact signs of the mesh as it comes back."""
     valid = ~segment_any(~upright(moved), batch.triangle_offsets)
     status = torch.where(valid, Status.VALID, torch.where(info.status == Status.VALID, Status.STALLED, info.status))
-    return moved, MoveInfo(info.energy, info.gradient, info.iterations, info.evaluations, status)
+    return moved, replace(info, status=status)
+
+
+def _inverted(batch: MeshBatch) -> Tensor:
+    return segment_count(~upright(batch), batch.triangle_offsets)
+
+
+def _merged(info: MoveInfo, at: Tensor, part: MoveInfo, better: Tensor) -> MoveInfo:
+    """`info` after another try of the meshes `at`: work adds up, the rest is that of the try that was `better`."""
+    rows = at.nonzero().squeeze(1)
+    more = {name: getattr(info, name).clone() for name in ("iterations", "evaluations", "energy", "gradient", "status")}
+    for name in ("iterations", "evaluations"):
+        more[name][rows] += getattr(part, name)
+    for name in ("energy", "gradient", "status"):
+        more[name][rows[better]] = getattr(part, name)[better]
+    return replace(info, **more)
 
 
 def _untangle_beta(
@@ -118,14 +191,42 @@ def small_triangles(batch: MeshBatch, beta: float) -> Tensor:
     return area < beta * spread(mean, batch.triangle_offsets)
 
 
+def _local_target(batch: MeshBatch, sweeps: int) -> tuple[Target, Tensor]:
+    """Equilateral targets (T,) of local size, and that size (V,), in the batch's unit."""
+    size = local_size(batch, sweeps)
+    return equilateral(size[batch.triangles].mean(1)), size
+
+
+def _own_target(batch: MeshBatch, reference: MeshBatch) -> tuple[Target, Tensor]:
+    """Each triangle of the reference as the target of the same one here, all scaled to the area enclosed now."""
+    before = corners(reference.points.to(torch.float64), reference.triangles)
+    now = corners(batch.points.to(torch.float64), batch.triangles)
+    areas = [segment_sum(signed_area(t), batch.triangle_offsets) for t in (now, before)]
+    factor = (areas[0].abs() / areas[1]).sqrt()
+    scaled = Corners(*(v * spread(factor, batch.triangle_offsets) for v in before))
+    return target_of(scaled), vertex_size(reference) * spread(factor, batch.point_offsets)
+
+
+def _try_regularised(
+    batch: MeshBatch, packing: Packing, target: Target, size: Tensor, options: UntangleOptions, monitor: Monitor | None
+) -> tuple[MeshBatch, MoveInfo]:
+    # From the batch's unit to the packing's.
+    unit = spread(packing.unit, batch.triangle_offsets)
+    square = unit * unit
+    packed = select_rows(
+        Target(target.g11 * square, target.g12 * square, target.g22 * square, target.m * square), packing.triangles
+    )
+    unknowns, info = _regularised(packing, packed, size / spread(packing.unit, batch.point_offsets), options, monitor)
+    return _judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
+
+
 def _regularised(
-    batch: MeshBatch, packing: Packing, options: UntangleOptions, monitor: Monitor | None
+    packing: Packing, target: Target, size: Tensor, options: UntangleOptions, monitor: Monitor | None
 ) -> tuple[Tensor, MoveInfo]:
-    size = local_size(batch) / spread(packing.unit, batch.point_offsets)
-    side = size[batch.triangles].mean(1)[packing.triangles]
+    """Continuation in epsilon (Garanzha et al. 2021), each mesh with its own; `target` and `size` in packed units."""
     objective = MeshObjective(
         Regularised(1.0),
-        equilateral(side),
+        target,
         packing.rows,
         packing.anchored,
         packing.block_offsets,
@@ -179,7 +280,7 @@ def _next_eps(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Ten
     return torch.where(lowest < mu, lower, 0.0).clamp_min(1e-9)
 
 
-def local_size(batch: MeshBatch, sweeps: int = 20) -> Tensor:
+def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
     """(V,) side of the equilateral triangle a vertex's triangles should have, in the batch's unit.
 
     From the mean |area| round each vertex, its root averaged over neighbours `sweeps` times, then

@@ -1,0 +1,132 @@
+"""What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .errors import ConvergenceError
+from .genealogy import VertexMap
+from .quality import Quality
+from .remeshing import RemeshInfo
+from .status import Status
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of the paper's tables for one mesh: its state after a stage, and what the stage took.
+
+    pockets are those re-triangulated; kept is false where the stage was a try that brought no fewer
+    inverted triangles, so that the mesh went back; seconds are wall time of the stage, shared by all
+    the meshes that were in it.
+    """
+
+    stage: str
+    mean: float
+    max: float
+    inverted: int
+    flips: int
+    iterations: int
+    seconds: float
+    pockets: int = 0
+    kept: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What `improve` did, per mesh (B,).
+
+    status     int64 `Status`
+    valid      bool, every triangle is upright by exact sign
+    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given; no
+               fixed vertex has moved but those that slide
+    quality    `Quality` at the end
+    steps      for every mesh its rows of the paper's tables, in order
+    messages   for every mesh, why it ended
+    moved      int64 vertices that are not where they were given (under topology "full": before any is added)
+    remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
+               vertices; None under the other topologies
+    """
+
+    status: Tensor
+    valid: Tensor
+    certified: Tensor
+    quality: Quality
+    steps: list[list[Step]]
+    messages: list[str]
+    moved: Tensor
+    remeshed: RemeshInfo | None = None
+
+    @property
+    def vertex_map(self) -> VertexMap | None:
+        """How the returned vertices answer to the given ones; None where they are the same."""
+        return None if self.remeshed is None else self.remeshed.vertex_map
+
+    @property
+    def flipped(self) -> Tensor:
+        """(B,) int64 edges flipped in all stages together."""
+        return self._total("flips")
+
+    @property
+    def pockets(self) -> Tensor:
+        """(B,) int64 pockets re-triangulated."""
+        return self._total("pockets")
+
+    @property
+    def worked(self) -> list[str]:
+        """For every mesh the stage that left no inverted triangle: "initial" if it had none, "" if none did."""
+        return [next((step.stage for step in steps if step.inverted == 0), "") for steps in self.steps]
+
+    def _total(self, name: str) -> Tensor:
+        sums = [sum(getattr(step, name) for step in steps) for steps in self.steps]
+        return torch.tensor(sums, dtype=torch.int64, device=self.status.device)
+
+    def check(self) -> "Report":
+        """Raise ConvergenceError, naming the meshes, unless every mesh is valid; else return the report."""
+        failed = (~self.valid).nonzero().squeeze(1).tolist()
+        if failed:
+            shown = "; ".join(
+                f"mesh {b}: {int(self.quality.inverted[b])} inverted, {self.messages[b]}" for b in failed[:10]
+            )
+            more = f"; and {len(failed) - 10} more" if len(failed) > 10 else ""
+            raise ConvergenceError(f"{len(failed)} of {len(self.valid)} meshes are not valid: {shown}{more}")
+        return self
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """One plain record a mesh, for JSON: None stands for what is infinite."""
+        worked, flipped, pockets = self.worked, self.flipped.tolist(), self.pockets.tolist()
+        return [
+            {
+                "mesh": b,
+                "status": Status(int(self.status[b])).name.lower(),
+                "message": self.messages[b],
+                "valid": bool(self.valid[b]),
+                "certified": bool(self.certified[b]),
+                "tried": list(dict.fromkeys(step.stage for step in self.steps[b][1:])),
+                "worked": worked[b],
+                "moved": int(self.moved[b]),
+                "flipped": flipped[b],
+                "pockets": pockets[b],
+                "steps": [{name: _plain(value) for name, value in vars(step).items()} for step in self.steps[b]],
+            }
+            for b in range(len(self.valid))
+        ]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where `improve` is: the stage, meshes in it, their inverted triangles, and within a
+    minimisation its iteration and total energy."""
+
+    stage: str
+    meshes: int
+    inverted: int
+    iteration: int = 0
+    energy: float | None = None
+
+
+def _plain(value: Any) -> Any:
+    """`value`, or None for a number that JSON does not have."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
