@@ -12,7 +12,7 @@ Every mesh goes down its own road; the meshes on one stretch of road travel as o
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import torch
@@ -22,12 +22,14 @@ from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
-from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
+from .mesh import MeshBatch, corners_of, join, put, put_twins, select_twins, touching
 from .pockets import untangle_batch_by_pockets
 from .quality import quality
+from .relocation import Relocation, crowded
 from .remeshing import RemeshInfo, Remeshing, RemeshOptions
-from .report import Progress, Report, Step
+from .report import Progress, Report, Step, join_reports
 from .segments import segment_count, spread
+from .sharding import can_fork, one_thread, over_processes, shard_borders
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
@@ -43,7 +45,8 @@ class ImproveOptions:
     method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
     topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change;
                       "full": vertices may be added and removed (`Report.vertex_map` tells which)
-    remesh            sizes and limits of "full"
+    remesh            sizes and limits of "full"; under "flip", vertices travel from crowded to empty regions by
+                      them where shapes are poor or sizes other than "boundary" are asked for
     untangle          untangle-beta between the flips; "default" tries other ways where it fails
     smooth            the smoothing steps
     untangle_rounds   outer iterations of flipping and untangling at most
@@ -92,6 +95,11 @@ class ImproveOptions:
         """Do boundary and interface vertices slide along their curves?"""
         return "slide" in (self.boundary, self.smooth.boundary)
 
+    @property
+    def separable(self) -> bool:
+        """Do these options mean the same for each mesh of a batch, with no tensor over its vertices in them?"""
+        return self.topology != "full" and self.smooth.targets is None and self.reference is None
+
     @classmethod
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
         """Kim 2017 as printed: one flip pass, untangle-beta, repeat until valid, smooth once.
@@ -132,11 +140,52 @@ def improve(
               `report.steps[0]`
     hold      (V,) bool, vertices that do not slide; needs boundary="slide", without which none does
 
+    A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress`
+    is then called once a shard.
     Raises InvalidMeshError when `options.reference` is not a valid mesh of the same triangles.
     """
     options = options or ImproveOptions()
     if options.reference is not None:
         check_reference(batch, options.reference)
+    workers = options.workers or torch.get_num_threads()
+    separable = observe is None and hold is None and options.separable
+    if workers > 1 and separable and can_fork(batch.points.device):
+        borders = shard_borders(batch.triangle_offsets, workers)
+        if len(borders) > 2:
+            return _improve_in_shards(batch, options, progress, borders, workers)
+    with one_thread():
+        return _improve(batch, options, progress, observe, hold)
+
+
+def _improve_in_shards(
+    batch: MeshBatch,
+    options: ImproveOptions,
+    progress: Callable[[Progress], None] | None,
+    borders: list[int],
+    workers: int,
+) -> tuple[MeshBatch, Report]:
+    place = torch.arange(len(batch), device=batch.points.device)
+
+    def task(i: int) -> tuple[MeshBatch, Report]:
+        return _improve(batch.select((place >= borders[i]) & (place < borders[i + 1])), options)
+
+    parts, reports = [], []
+    for i, (part, report) in enumerate(over_processes(task, len(borders) - 1, workers)):
+        parts.append(part)
+        reports.append(report)
+        if progress is not None:
+            left = int((~report.valid).sum())
+            progress(Progress(f"shard {i + 1} of {len(borders) - 1}", len(batch) - borders[i + 1], left))
+    return join(parts), join_reports(reports)
+
+
+def _improve(
+    batch: MeshBatch,
+    options: ImproveOptions,
+    progress: Callable[[Progress], None] | None = None,
+    observe: Callable[[str, MeshBatch], None] | None = None,
+    hold: Tensor | None = None,
+) -> tuple[MeshBatch, Report]:
     job = _Job(batch, options, progress, observe, hold)
     job.diagnose()
     if options.method == "paper":
@@ -291,15 +340,15 @@ class _Job:
         self.moved = segment_count(elsewhere, self.given.point_offsets)
 
     def remesh(self) -> None:
-        """Splits and collapses where they make the valid meshes better."""
-        at = self.quality.inverted == 0
-        work = Remeshing(self.batch, self.options.remesh)
+        """Splits and collapses where they better the valid meshes; under "flip" in pairs, so that every row stays."""
+        full = self.options.topology == "full"
+        at = self.quality.inverted == 0 if full else crowded(self.quality, self.options.remesh)
+        work = (Remeshing if full else Relocation)(self.batch, self.options.remesh)
         if bool(at.any()):
-            with self._stage("remesh", at) as done:
+            with self._stage("remesh" if full else "relocate", at) as done:
                 work.improve(at)
                 done(work.batch, flips=work.flips[at])
-                self._twin = None
-        self.remeshed = work.info()
+        self.remeshed = work.info() if full else None
 
     def report(self) -> Report:
         """The certificate and the log."""

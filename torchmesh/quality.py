@@ -32,7 +32,7 @@ class Quality:
     inverted: Tensor
 
     def put(self, at: Tensor, triangle_offsets: Tensor, part: "Quality") -> "Quality":
-        """This quality with that of the meshes `at` (B,) bool replaced by `part`; they keep their number of triangles."""
+        """This quality with that of the meshes `at` (B,) bool replaced by `part`."""
         if len(part.mean) == len(self.mean):
             return part
         rows = spread(at, triangle_offsets)

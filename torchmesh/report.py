@@ -1,7 +1,7 @@
 """What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
@@ -113,6 +113,19 @@ class Report:
             }
             for b in range(len(self.valid))
         ]
+
+
+def join_reports(reports: list[Report]) -> Report:
+    """The report on the joined meshes of several; not for those of topology "full"."""
+    return Report(
+        torch.cat([r.status for r in reports]),
+        torch.cat([r.valid for r in reports]),
+        torch.cat([r.certified for r in reports]),
+        Quality(*(torch.cat([getattr(r.quality, f.name) for r in reports]) for f in fields(Quality))),
+        [steps for r in reports for steps in r.steps],
+        [message for r in reports for message in r.messages],
+        torch.cat([r.moved for r in reports]),
+    )
 
 
 @dataclass(frozen=True)
