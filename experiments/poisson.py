@@ -1,0 +1,250 @@
+"""Does mesh quality matter to a PDE?  Poisson's equation on undeformed, paper-final and our final meshes.
+
+    python -m pip install '.[experiments]' && python experiments/poisson.py --out out/poisson
+
+-laplace u = f with u = sin(k x) sin(k y) on the boundary, k = 2 pi over the domain's height, and f such
+that this is the solution; linear elements (scikit-fem).  For each mesh: the condition number of the
+interior stiffness matrix (its extreme eigenvalues, dense), the iterations of conjugate gradients
+to a residual of 1e-8, plain and with the diagonal as preconditioner, and the error in L2 and in the
+H1 seminorm, relative to the solution's own.  Writes poisson.csv, poisson.md and poisson.png.
+
+Where the body stands changes the domain, so compare the final meshes with each other; the undeformed
+mesh tells what the same number of vertices can do.  The full topology has other numbers of vertices.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse.linalg
+import skfem
+import skfem.helpers
+import torch
+import typer
+
+import torchmesh as tm
+from torchmesh.domains import moving
+
+# Degree of the polynomials that the quadrature of errors integrates exactly.
+QUADRATURE = 8
+RESIDUAL = 1e-8
+
+
+@dataclass(frozen=True)
+class Row:
+    """One mesh of one domain."""
+
+    domain: str
+    mesh: str
+    triangles: int
+    inverted: int
+    imr_average: float
+    imr_maximum: float
+    condition: float = math.nan
+    cg: float = math.nan
+    cg_diagonal: float = math.nan
+    l2_error: float = math.nan
+    h1_error: float = math.nan
+
+
+def domains() -> dict[str, tuple[tm.MeshBatch, tm.MeshBatch]]:
+    """Undeformed and deformed meshes: the paper's three, and harder ones."""
+    found = {f"moving {name}": moving(name) for name in ("circle", "bar", "gate")}  # type: ignore[arg-type]
+    for name, factor, text in (("circle", 3.0, "circle, three times as far"), ("bar", 2.0, "bar, twice as far")):
+        mesh, warped = moving(name)  # type: ignore[arg-type]
+        moved = mesh.points + factor * (warped.points - mesh.points)
+        found[text] = mesh, tm.femwarp(mesh, moved)
+    return found
+
+
+METHODS: dict[str, Callable[[], tm.ImproveOptions]] = {
+    "paper": tm.ImproveOptions.paper,
+    "paper, no flips": lambda: tm.ImproveOptions.paper(topology="keep"),
+    "default": tm.ImproveOptions,
+    "default, sliding": lambda: tm.ImproveOptions(boundary="slide"),
+    "full": lambda: tm.ImproveOptions(topology="full"),
+}
+
+
+def meshes_of(mesh: tm.MeshBatch, deformed: tm.MeshBatch) -> dict[str, tm.MeshBatch]:
+    """The meshes to solve on."""
+    return {"undeformed": mesh} | {name: tm.improve(deformed, make())[0] for name, make in METHODS.items()}
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What `solve` finds; errors relative to the norms of the exact solution."""
+
+    condition: float
+    cg: int
+    cg_diagonal: int
+    l2_error: float
+    h1_error: float
+
+
+def solve(points: np.ndarray, triangles: np.ndarray, k: float) -> Solution:
+    """Solve on the mesh of `points` (V, 2) and `triangles` (T, 3), all upright."""
+    basis = skfem.Basis(
+        skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(triangles.T)),
+        skfem.ElementTriP1(),
+        intorder=QUADRATURE,
+    )
+
+    @skfem.BilinearForm
+    def stiffness(u, v, w):
+        return skfem.helpers.dot(u.grad, v.grad)
+
+    @skfem.LinearForm
+    def load(v, w):
+        x, y = w.x
+        return 2 * k * k * np.sin(k * x) * np.sin(k * y) * v
+
+    @skfem.Functional
+    def squares(w):
+        """Squares of the error, the solution, and their gradients."""
+        x, y = w.x
+        exact = np.sin(k * x) * np.sin(k * y)
+        slope = k * np.stack([np.cos(k * x) * np.sin(k * y), np.sin(k * x) * np.cos(k * y)])
+        return np.stack([(w["u"] - exact) ** 2, exact**2, ((w["u"].grad - slope) ** 2).sum(0), (slope**2).sum(0)])
+
+    matrix, right = stiffness.assemble(basis), load.assemble(basis)
+    places = basis.doflocs
+    u = np.sin(k * places[0]) * np.sin(k * places[1])
+    inner = basis.complement_dofs(basis.get_dofs())
+    u[inner] = 0
+    a = matrix[inner][:, inner].tocsr()
+    b = right[inner] - (matrix @ u)[inner]
+    spectrum = scipy.linalg.eigvalsh(a.toarray())
+    diagonal = scipy.sparse.diags(1 / a.diagonal())
+    counts = []
+    for preconditioner in (None, diagonal):
+        count = 0
+
+        def counting(_):
+            nonlocal count
+            count += 1
+
+        u[inner], info = scipy.sparse.linalg.cg(a, b, rtol=RESIDUAL, M=preconditioner, callback=counting)
+        if info:
+            raise RuntimeError(f"conjugate gradients stopped after {info} iterations without converging")
+        counts.append(count)
+    error2, size2, slope_error2, slope2 = squares.assemble(basis, u=basis.interpolate(u))
+    return Solution(
+        float(spectrum[-1] / spectrum[0]),
+        counts[0],
+        counts[1],
+        math.sqrt(error2 / size2),
+        math.sqrt(slope_error2 / slope2),
+    )
+
+
+def rows_of(domain: str, mesh: tm.MeshBatch, deformed: tm.MeshBatch) -> list[Row]:
+    """A row for each mesh of a domain; those with inverted triangles are not solved on."""
+    k = 2 * math.pi / float(mesh.points[:, 1].max() - mesh.points[:, 1].min())
+    rows = []
+    for name, candidate in meshes_of(mesh, deformed).items():
+        q = tm.quality(candidate)
+        inverted = int(q.inverted)
+        solved = {} if inverted else asdict(solve(candidate.points.numpy(), candidate.triangles.numpy(), k))
+        rows.append(Row(domain, name, len(candidate.triangles), inverted, float(q.mean), float(q.max), **solved))
+    return rows
+
+
+def markdown(rows: list[Row]) -> str:
+    """The rows as a table."""
+    lines = [
+        "| domain | mesh | triangles | inverted | IMR average | IMR maximum | condition number "
+        "| CG | CG, diagonal | L2 error | H1 error |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for r in rows:
+        numbers = [
+            f"{r.condition:,.0f}",
+            f"{r.cg:.0f}",
+            f"{r.cg_diagonal:.0f}",
+            f"{r.l2_error:.3%}",
+            f"{r.h1_error:.2%}",
+        ]
+        numbers = ["-"] * 5 if r.inverted else numbers
+        shape = [f"{r.triangles:,}", str(r.inverted), f"{r.imr_average:.3f}", f"{r.imr_maximum:.2f}"]
+        lines.append("| " + " | ".join([r.domain, r.mesh, *shape, *numbers]) + " |")
+    return "\n".join(lines)
+
+
+def draw(rows: list[Row], path: Path) -> None:
+    """A panel for each measure, relative to the default mesh of the domain."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    panels = {
+        "condition": "condition number",
+        "cg": "CG iterations",
+        "l2_error": "L2 error",
+        "h1_error": "H1 error",
+    }
+    names = list(dict.fromkeys(r.domain for r in rows))
+    kinds = list(dict.fromkeys(r.mesh for r in rows))
+    colours = dict(zip(kinds, ["#9a9a9a", "#d55e00", "#e69f00", "#0072b2", "#56b4e9", "#009e73"], strict=False))
+    figure, axes = plt.subplots(1, len(panels), figsize=(15, 1.2 + 0.9 * len(names)), sharey=True, layout="constrained")
+    width = 0.8 / len(kinds)
+    for axis, (key, title) in zip(axes, panels.items(), strict=True):
+        for r in rows:
+            reference = next(getattr(o, key) for o in rows if o.domain == r.domain and o.mesh == "default")
+            value = getattr(r, key) / reference
+            y = names.index(r.domain) + (kinds.index(r.mesh) - (len(kinds) - 1) / 2) * width
+            if r.inverted:
+                axis.annotate(
+                    f"{r.inverted} inverted", (1, y), (6, 0), textcoords="offset points", va="center", fontsize=7
+                )
+                continue
+            axis.hlines(y, min(value, 1), max(value, 1), color=colours[r.mesh], linewidth=2)
+            axis.plot(value, y, "o", color=colours[r.mesh], markersize=5)
+            axis.annotate(
+                f"{value:,.2f}", (max(value, 1), y), (6, 0), textcoords="offset points", va="center", fontsize=7
+            )
+        axis.axvline(1, color="black", linewidth=0.6)
+        axis.set_title(f"{title}, default mesh = 1", fontsize=10)
+        axis.set_yticks(range(len(names)), names)
+        axis.set_xscale("log")
+        axis.margins(x=0.2)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter("")
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].invert_yaxis()
+    handles = [plt.Rectangle((0, 0), 1, 1, color=colours[kind]) for kind in kinds]
+    figure.legend(handles, kinds, loc="outside lower center", ncols=len(kinds), frameon=False)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for the table and the plot.")] = Path("out/poisson"),
+    only: Annotated[str, typer.Option(help="Only the domains whose name contains this.")] = "",
+) -> None:
+    """Solve on every mesh, print the table and write it, with the plot, to --out."""
+    torch.set_num_threads(1)
+    rows = [row for name, (a, b) in domains().items() if only in name for row in rows_of(name, a, b)]
+    if not rows:
+        raise typer.BadParameter(f"no domain's name contains {only!r}; there are {', '.join(domains())}")
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / "poisson.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Row)])
+        writer.writeheader()
+        writer.writerows(map(asdict, rows))
+    table = markdown(rows)
+    (out / "poisson.md").write_text(table + "\n")
+    draw(rows, out / "poisson.png")
+    print(table)
+
+
+if __name__ == "__main__":
+    typer.run(main)
