@@ -8,6 +8,7 @@ import meshio
 import numpy as np
 import pytest
 import torch
+from test_files import inline  # noqa: F401
 
 from torchmesh import (
     ImproveOptions,
@@ -215,7 +216,7 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path, moving, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["moving.xdmf"]
 
 
-def test_a_series_is_one_file_of_a_run(tmp_path, moving, motion):
+def test_a_series_is_one_file_of_a_run(tmp_path, moving, motion, inline):  # noqa: F811
     """Its meshes travel in the batch; the result is of all of them."""
     (tmp_path / "in").mkdir()
     moving.rename(tmp_path / "in" / "moving.xdmf")
