@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from .connectivity import next_in_triangle, previous_in_triangle
-from .editing import Editable, all_upright, fan_quality, independent, neighbours
+from .editing import Editable, all_upright, fan_quality, independent, neighbours, within_budget
 
 
 class Collapses(NamedTuple):
@@ -137,10 +137,21 @@ Wish = Callable[[Tensor], Tensor]
 Judge = Callable[[Collapses, Outcome], Tensor]
 
 
-def collapse_rounds(e: Editable, wish: Wish, judge: Judge, *, middles: bool = False, max_rounds: int = 1000) -> Tensor:
+def collapse_rounds(
+    e: Editable,
+    wish: Wish,
+    judge: Judge,
+    *,
+    middles: bool = False,
+    budget: Tensor | None = None,
+    max_rounds: int = 1000,
+) -> Tensor:
     """Collapse what is wished for and judged good until nothing is left; the number in each mesh (B,).
 
     A round asks, at every vertex, about the edge that wants most to go.
+
+    middles  may both ends go to the middle of an edge, where both are free?
+    budget   (B,) int64, how many collapses each mesh may have; None: any number
     """
     total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
     # Half-edges (the lower of each edge) that were refused, and round which nothing has changed since.
@@ -149,6 +160,8 @@ def collapse_rounds(e: Editable, wish: Wish, judge: Judge, *, middles: bool = Fa
         edge = e.edges()
         edge = edge[~asleep[edge]]
         want = wish(edge)
+        if budget is not None:
+            want = torch.where((total < budget)[e.mesh[e.vertex[edge]]], want, torch.inf)
         asked = want.isfinite().nonzero().squeeze(1)
         edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
         first = _first_at_an_end(e, edge, key)
@@ -161,6 +174,9 @@ def collapse_rounds(e: Editable, wish: Wish, judge: Judge, *, middles: bool = Fa
         rows = rows[still_upright(e, _rows(c, rows))]
         rows = rows[_best_of_each(owner[rows], outcome.after[rows], len(edge))]
         chosen = rows[independent(outcome.centres[rows], outcome.claims[rows], key[owner[rows]], len(e.x))]
+        if budget is not None:
+            owners = e.mesh[e.vertex[c.h[chosen]]]
+            chosen = chosen[within_budget(owners, key[owner[chosen]], budget - total)]
         refused = torch.ones(len(edge), dtype=torch.bool, device=edge.device)
         refused[owner[rows]] = False
         asleep[edge[refused]] = True

@@ -184,6 +184,17 @@ def independent(centres: Tensor, claims: Tensor, rank: Tensor, count: int) -> Te
     return (best[claims] >= place[:, None]).all(1)
 
 
+def within_budget(owner: Tensor, rank: Tensor, budget: Tensor) -> Tensor:
+    """(N,) bool: the rows of lowest rank (N,) of each mesh `owner` (N,), as many as its budget (B,) has."""
+    order = rank.argsort(stable=True)
+    order = order[owner[order].argsort(stable=True)]
+    counts = torch.bincount(owner, minlength=len(budget))
+    place = torch.arange(len(owner), device=owner.device) - (counts.cumsum(0) - counts)[owner[order]]
+    inside = torch.zeros(len(owner), dtype=torch.bool, device=owner.device)
+    inside[order] = place < budget[owner[order]]
+    return inside
+
+
 def compact(e: Editable) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """The living rows, each mesh's together: rows of vertices, triangles (T, 3), locked edges (K, 2), counts.
 

@@ -30,6 +30,7 @@ from .remeshing import RemeshInfo, Remeshing, RemeshOptions
 from .report import Progress, Report, Step, join_reports
 from .segments import segment_count, spread
 from .sharding import can_fork, one_thread, over_processes, shard_borders
+from .sizing import size_field
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
@@ -46,7 +47,8 @@ class ImproveOptions:
     topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change;
                       "full": vertices may be added and removed (`Report.vertex_map` tells which)
     remesh            sizes and limits of "full"; under "flip", vertices travel from crowded to empty regions by
-                      them where shapes are poor or sizes other than "boundary" are asked for
+                      them where shapes are poor or sizes other than "boundary" are asked for.  Sizes "keep"
+                      are those of the `reference`, if there is one
     untangle          untangle-beta between the flips; "default" tries other ways where it fails
     smooth            the smoothing steps
     untangle_rounds   outer iterations of flipping and untangling at most
@@ -98,7 +100,8 @@ class ImproveOptions:
     @property
     def separable(self) -> bool:
         """Do these options mean the same for each mesh of a batch, with no tensor over its vertices in them?"""
-        return self.topology != "full" and self.smooth.targets is None and self.reference is None
+        shared = isinstance(self.remesh.sizes, Tensor) or self.smooth.targets is not None or self.reference is not None
+        return self.topology != "full" and not shared
 
     @classmethod
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
@@ -193,6 +196,10 @@ def _improve(
     else:
         job.untangle()
         job.refine()
+        if options.topology == "flip" and options.smooth.targets is None:
+            job.remesh()
+            if options.slides:
+                job.smooth_again()
     job.count_moved()
     if options.topology == "full":
         job.remesh()
@@ -334,6 +341,12 @@ class _Job:
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
 
+    def smooth_again(self) -> None:
+        """Slide along after vertices have travelled from crowded to empty regions."""
+        travelled = [bool(steps) and steps[-1].stage == "relocate" for steps in self.steps]
+        at = torch.tensor(travelled, device=self.status.device) & (self.quality.inverted == 0)
+        self._smooth("smooth", at, self.options.smooth)
+
     def count_moved(self) -> None:
         """How many vertices are not where they were given."""
         elsewhere = (self.batch.points != self.given.points).any(1)
@@ -343,10 +356,14 @@ class _Job:
         """Splits and collapses where they better the valid meshes; under "flip" in pairs, so that every row stays."""
         full = self.options.topology == "full"
         at = self.quality.inverted == 0 if full else crowded(self.quality, self.options.remesh)
-        work = (Remeshing if full else Relocation)(self.batch, self.options.remesh)
+        options, reference = self.options.remesh, self.options.reference
+        if reference is not None and isinstance(options.sizes, str) and options.sizes == "keep":
+            options = replace(options, sizes=size_field(reference, "keep"))
+        work = (Remeshing if full else Relocation)(self.batch, options)
         if bool(at.any()):
             with self._stage("remesh" if full else "relocate", at) as done:
                 work.improve(at)
+                self._twin = None
                 done(work.batch, flips=work.flips[at])
         self.remeshed = work.info() if full else None
 

@@ -193,7 +193,11 @@ class Remeshing:
         size = size_field(self.batch, "keep")
         if bool(going.any()):
             part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
-            size[rows] = size_field(part, self._sizes_of(rows), triangles=self.wanted[going])
+            size[rows] = self._scaled(part, size_field(part, self._sizes_of(rows), triangles=self.wanted[going]))
+        return size
+
+    def _scaled(self, part: MeshBatch, size: Tensor) -> Tensor:
+        """The sizes that `part` can have: those asked for, since vertices come and go."""
         return size
 
     def _cut(self, going: Tensor, short: float, long: float) -> Tensor:
@@ -254,6 +258,7 @@ class Remeshing:
             size = carried(before, self.size[rows], after.points)
         else:
             size = size_field(after, sizes, triangles=self.wanted[going])
+        size = self._scaled(after, size)
         self.batch, self.size = exchange(self.batch, going, after, [(self.size, size)])
 
     def _polish(self, going: Tensor) -> None:

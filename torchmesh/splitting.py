@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from .connectivity import next_in_triangle, previous_in_triangle
-from .editing import Editable, fan_quality, independent
+from .editing import Editable, fan_quality, independent, within_budget
 from .predicates import orientation
 
 # Which edges to split: of the half-edges given (M,), (M,) bool, and their rank (M,), lowest first.
@@ -92,8 +92,26 @@ def split(e: Editable, h: Tensor, new: Tensor, rows: Tensor) -> None:
     e.locked[two] = e.locked[g_inner] = lock[inner]
 
 
-def split_rounds(e: Editable, wish: Wish, *, allow_fixed: bool = False, max_rounds: int = 100) -> Tensor:
-    """Split what is wished for until nothing is left, new rows at the end; the number in each mesh (B,)."""
+# Room for the splits of edges (N,): rows of vertices (N,) and of triangles (2, N).
+Room = Callable[[Editable, Tensor], tuple[Tensor, Tensor]]
+
+
+def split_rounds(
+    e: Editable,
+    wish: Wish,
+    *,
+    allow_fixed: bool = False,
+    budget: Tensor | None = None,
+    room: Room | None = None,
+    max_rounds: int = 100,
+) -> Tensor:
+    """Split what is wished for until nothing is left; the number in each mesh (B,).
+
+    allow_fixed  may boundary and locked edges be split?
+    budget       (B,) int64, how many splits each mesh may have; None: any number
+    room         where new vertices and triangles go; None: new rows at the end
+    """
+    room = room or append
     total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
     awake = torch.ones_like(e.alive)
     for _ in range(max_rounds):
@@ -102,19 +120,25 @@ def split_rounds(e: Editable, wish: Wish, *, allow_fixed: bool = False, max_roun
         wanted, rank = wish(edge)
         edge, rank = edge[wanted], rank[wanted]
         may = splittable(e, edge, allow_fixed)
+        if budget is not None:
+            may &= (total < budget)[e.mesh[e.vertex[edge]]]
         edge, rank = edge[may], rank[may]
         if not len(edge):
             break
         chosen = first_in_their_triangles(e, edge, rank)
+        if budget is not None:
+            rows = chosen.nonzero().squeeze(1)
+            chosen[rows] = within_budget(e.mesh[e.vertex[edge[rows]]], rank[rows], budget - total)
         awake = torch.zeros_like(awake)
         awake[e.vertex[edge[~chosen]]] = True
         edge = edge[chosen]
         ring = torch.cat([edge, e.twin[edge][e.twin[edge] >= 0]]) // 3
         total += e.per_mesh(edge)
-        new, rows = append(e, edge)
-        awake = torch.cat([awake, torch.ones(len(new), dtype=torch.bool, device=awake.device)])
+        new, slots = room(e, edge)
+        awake = torch.cat([awake, awake.new_zeros(len(e.alive) - len(awake))])
+        awake[new] = True
         awake[e.triangles[ring].reshape(-1)] = True
-        split(e, edge, new, rows)
+        split(e, edge, new, slots)
     return total
 
 

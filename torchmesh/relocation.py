@@ -1,0 +1,101 @@
+"""Vertices pulled along from crowded to empty regions: as many splits as collapses, in the same rows.
+
+A collapse sets a vertex free, a split elsewhere takes it up again.  So number and order of vertices
+and triangles stay, as with flips; a vertex, and whatever field hangs on it, may travel far.
+"""
+
+import dataclasses
+
+import torch
+from torch import Tensor
+
+from .collapsing import collapse_rounds
+from .editing import Editable
+from .mesh import MeshBatch, put, triangle_mesh
+from .packing import centre_and_unit
+from .quality import Quality
+from .remeshing import Remeshing, RemeshOptions, editable
+from .segments import counts_from_offsets, segment_sum, spread
+from .splitting import Room, Wish, split_rounds, worst_after
+from .triangle import SQRT3, corners, signed_area
+
+# An edge of its size is not worth a vertex that was long in coming.
+_WORTH = 1.2
+
+
+# Above this mean or maximum of the inverse mean ratio, flips and smoothing have not come far enough.
+_MEAN, _MAX = 1.055, 1.8
+
+
+def crowded(q: Quality, options: RemeshOptions) -> Tensor:
+    """(B,) bool: valid meshes that relocation may better, or for which sizes were asked."""
+    asked = not (isinstance(options.sizes, str) and options.sizes == "boundary")
+    return (q.inverted == 0) & ((q.mean > _MEAN) | (q.max > _MAX) | asked)
+
+
+class Relocation(Remeshing):
+    """`Remeshing` that keeps every row."""
+
+    def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
+        # A boundary vertex more would be a vertex more.
+        super().__init__(batch, dataclasses.replace(options, split_boundary=False))
+
+    def _cut(self, going: Tensor, short: float, long: float) -> Tensor:
+        assert self.size is not None
+        part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
+        e = editable(part, self.size[rows], self.names, self.names.of[rows])
+        edge = e.edges()
+        wanted = e.per_mesh(edge[e.relative_length(edge) > long])
+        collapses = collapse_rounds(e, self._too_short(e, short), self._harmless, budget=wanted)
+        splits = split_rounds(e, self._worth_a_vertex(e), budget=collapses, room=_freed_rows(triangle_mesh(part)))
+        whole = splits == collapses
+        unit = spread(centre_and_unit(part.points, part.point_offsets)[1], part.point_offsets)
+        points = (torch.stack([e.x, e.y], 1) * unit[:, None]).to(part.points)
+        done = dataclasses.replace(part, points=points, triangles=e.triangles)
+        size = self.size.clone()
+        size[rows] = torch.where(spread(whole, part.point_offsets), e.size * unit, self.size[rows])
+        # A mesh that found no room for all its freed vertices stays as it was.
+        self.batch, self.size = put(self.batch, going, put(part, whole, done.select(whole))), size
+        changed = torch.zeros_like(self.splits)
+        changed[going] = torch.where(whole, 2 * splits, 0)
+        self.splits += changed // 2
+        self.collapses += changed // 2
+        return changed
+
+    def _scaled(self, part: MeshBatch, size: Tensor) -> Tensor:
+        """The sizes times what makes the number of equilateral triangles that fill each mesh the one there is."""
+        per_triangle = size[part.triangles].mean(1)
+        share = signed_area(corners(part.points.to(torch.float64), part.triangles)) / per_triangle / per_triangle
+        fitting = segment_sum(share, part.triangle_offsets) * (4 / SQRT3)
+        factor = (fitting / counts_from_offsets(part.triangle_offsets)).sqrt()
+        return size * spread(factor, part.point_offsets)
+
+    def _worth_a_vertex(self, e: Editable) -> Wish:
+        def wish(h: Tensor) -> tuple[Tensor, Tensor]:
+            ratio = e.relative_length(h)
+            long = (ratio > _WORTH).nonzero().squeeze(1)
+            before, after = worst_after(e, h[long])
+            wanted = torch.zeros(len(h), dtype=torch.bool, device=h.device)
+            wanted[long] = after <= before.clamp_min(self.options.worst)
+            return wanted, e.shuffled(h, -ratio)
+
+        return wish
+
+
+def _freed_rows(face_mesh: Tensor) -> Room:
+    """Room in the dead rows of the same mesh; face_mesh (T,) says whose each row of triangles is."""
+
+    def room(e: Editable, h: Tensor) -> tuple[Tensor, Tensor]:
+        owner = e.mesh[e.vertex[h]]
+        order = owner.argsort(stable=True)
+        counts = torch.bincount(owner, minlength=e.meshes)
+        place = torch.empty_like(order)
+        place[order] = torch.arange(len(h), device=h.device) - (counts.cumsum(0) - counts)[owner[order]]
+        vertices = (~e.alive).nonzero().squeeze(1)
+        faces = (e.triangles[:, 0] < 0).nonzero().squeeze(1)
+        first_vertex = torch.searchsorted(e.mesh[vertices].contiguous(), owner)
+        first_face = torch.searchsorted(face_mesh[faces].contiguous(), owner)
+        pair = first_face + 2 * place
+        return vertices[first_vertex + place], torch.stack([faces[pair], faces[pair + 1]])
+
+    return room
