@@ -8,9 +8,9 @@ from exact import inverted
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchmesh import MeshBatch, Status, UntangleOptions, join, quality, smooth, untangle
+from torchmesh import InvalidMeshError, MeshBatch, Status, UntangleOptions, join, quality, smooth, untangle
 from torchmesh.triangle import corners, signed_area
-from torchmesh.untangling import local_size
+from torchmesh.untangling import local_size, usual_area
 
 METHODS = {"regularised": UntangleOptions(), "beta": UntangleOptions("beta", max_iterations=1000)}
 
@@ -206,7 +206,7 @@ def test_local_size_grows_where_the_mesh_is_coarse():
 
 def test_continuations_are_limited():
     mesh = meshes.jittered(8, 7, 0.9, 1)
-    options = UntangleOptions(max_continuations=1, max_iterations=2)
+    options = UntangleOptions(max_continuations=1, max_iterations=2, size_sweeps=(20,))
     moved, info = untangle(mesh, options)
     assert info.iterations.item() <= 2
     assert inverted(moved) > 0
@@ -295,3 +295,91 @@ def test_meshes_of_a_batch_keep_their_own_beta():
     batch = join([mesh, MeshBatch.from_arrays(1000 * mesh.points, mesh.triangles)])
     moved, _ = untangle(batch, METHODS["beta"])
     assert [inverted(m) for m in moved.split()] == [0, 0]
+
+
+# --- with the undeformed mesh at hand ---
+
+
+def test_a_reference_brings_back_its_own_shapes_and_sizes():
+    # A strongly graded disc: equilateral targets of local size would even it out.
+    mesh = meshes.disc(12, 5)
+    graded = mesh.with_points(mesh.points * mesh.points.norm(dim=1, keepdim=True) ** 1.5)
+    tangled = meshes.disturbed(graded, 0.08, 3)
+    assert inverted(tangled) > 0
+    moved, info = untangle(tangled, reference=graded)
+    assert info.status.tolist() == [Status.VALID]
+    assert inverted(moved) == 0
+    own, plain = (
+        (quality(m).area / quality(graded).area).log().abs().mean().item() for m in (moved, untangle(tangled)[0])
+    )
+    assert own < 0.5 * plain
+
+
+def test_a_reference_that_does_not_fit_is_refused():
+    mesh = meshes.jittered()
+    with pytest.raises(
+        InvalidMeshError, match="the reference has 1 meshes, 81 points and 128 triangles, not the batch"
+    ):
+        untangle(mesh, reference=meshes.grid(8, 8))
+    valid = meshes.grid(8, 7)
+    flipped = valid.triangles.clone()
+    flipped[5] = flipped[5].roll(1)
+    batch = join([mesh, mesh])
+    with pytest.raises(InvalidMeshError, match="mesh 1: triangles row 5 is another triangle"):
+        untangle(batch, reference=join([valid, valid.with_triangles(flipped)]))
+    with pytest.raises(InvalidMeshError, match=r"mesh 0: triangles row \d+ is inverted in the reference"):
+        untangle(mesh, reference=mesh)
+
+
+def test_size_fields_are_tried_in_turn_until_a_mesh_is_valid():
+    mesh = meshes.jittered(8, 7, 0.5, 0)
+    once, first = untangle(mesh, UntangleOptions(size_sweeps=(100,)))
+    again, its = untangle(mesh, UntangleOptions(size_sweeps=(100, 20, 1000)))
+    assert torch.equal(once.points, again.points)
+    assert first.iterations.tolist() == its.iterations.tolist()
+    lost = meshes.moved_hole(12.0)
+    counts = [untangle(lost, UntangleOptions(size_sweeps=s, max_iterations=20))[1] for s in ((100,), (100, 20))]
+    assert counts[1].iterations.item() > counts[0].iterations.item()
+    for bad in ((), (-1,)):
+        with pytest.raises(ValueError, match="UntangleOptions.size_sweeps must be numbers"):
+            UntangleOptions(size_sweeps=bad)
+
+
+def graded_tangle():
+    """A grid whose columns grow twentyfold from left to right, with a vertex of the wide part pulled across."""
+    mesh = meshes.grid(120, 6)
+    t = mesh.points / mesh.points.amax(0)
+    points = torch.stack([t[:, 0] + 20 * t[:, 0] ** 4, t[:, 1]], 1)
+    inner = ((~mesh.fixed) & (t[:, 0] > 0.9)).nonzero().squeeze(1)
+    points[inner[5], 0] += 3
+    return mesh.with_points(points)
+
+
+def test_local_beta_counts_in_what_is_usual_nearby():
+    mesh = graded_tangle()
+    mean = float(signed_area(corners(mesh.points, mesh.triangles)).abs().mean())
+    usual = usual_area(mesh, UntangleOptions("beta", local=True))
+    x = mesh.points[:, 0][mesh.triangles].mean(1)
+    assert torch.allclose(usual_area(mesh, UntangleOptions("beta")), torch.tensor(mean, dtype=torch.float64))
+    assert bool((usual <= mean * (1 + 1e-12)).all())
+    assert float(usual[x < 0.2].max()) < 0.3 * mean
+    assert float(usual[x > 15].min()) == pytest.approx(mean)
+
+
+def test_reach_bounds_what_moves():
+    mesh = meshes.grid(12, 12)
+    points = mesh.points.clone()
+    vertex = int((~mesh.fixed).nonzero()[30])
+    points[vertex] += torch.tensor([1.6, 0.3])
+    mesh = mesh.with_points(points)
+    counts = []
+    for reach in (1, 2, None):
+        moved, _ = untangle(mesh, UntangleOptions("beta", beta=0.3, reach=reach, max_iterations=30))
+        counts.append(int((moved.points != mesh.points).any(1).sum()))
+    assert 0 < counts[0] < counts[1] <= counts[2]
+
+
+@pytest.mark.parametrize("options", [{"reach": 0}, {"local": True, "absolute_beta": 0.1}])
+def test_options_that_make_no_sense(options):
+    with pytest.raises(ValueError, match=r"reach|local"):
+        UntangleOptions("beta", **options)

@@ -238,6 +238,28 @@ def corners_of(batch: MeshBatch, triangles: Tensor) -> Tensor:
     return mask.index_fill_(0, batch.triangles.index_select(0, triangles.nonzero().squeeze(1)).reshape(-1), True)
 
 
+def surroundings(batch: MeshBatch, triangles: Tensor, rings: int) -> Tensor:
+    """(V,) bool: the corners of the `triangles` (T,) bool and the `rings` - 1 rings of vertices round them."""
+    near = corners_of(batch, triangles)
+    for _ in range(rings - 1):
+        near = corners_of(batch, touching(batch, near))
+    return near
+
+
+def triangle_mean(batch: MeshBatch, values: Tensor) -> Tensor:
+    """(T,) the mean of `values` (V,) over each triangle's corners."""
+    a, b, c = (values.index_select(0, v.contiguous()) for v in batch.triangles.unbind(1))
+    return (a + b + c) / 3
+
+
+def vertex_mean(batch: MeshBatch, values: Tensor) -> Tensor:
+    """(V,) the mean of `values` (T,) over the triangles round each vertex; 0 for unused ones."""
+    total = values.new_zeros(len(batch.points))
+    for v in batch.triangles.unbind(1):
+        total.index_add_(0, v.contiguous(), values)
+    return total / torch.bincount(batch.triangles.reshape(-1), minlength=len(total)).clamp_min(1)
+
+
 def lift(mesh: MeshBatch) -> Tensor:
     """(V, 3) the points in space, back in the plane each mesh was given in."""
     frame = spread(mesh.frames, mesh.point_offsets).to(mesh.points.dtype)

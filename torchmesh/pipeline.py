@@ -35,7 +35,7 @@ from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
 from .targets import MetricField, check_topology, narrow
-from .untangling import UntangleOptions, check_reference, small_triangles, untangle
+from .untangling import UntangleOptions, check_reference, untangle
 from .warping import femwarp, relax
 
 
@@ -65,7 +65,9 @@ class ImproveOptions:
 
     method: Literal["default", "paper"] = "default"
     topology: Literal["keep", "flip", "full"] = "flip"
-    untangle: UntangleOptions = field(default_factory=lambda: UntangleOptions("beta", beta=0.3, max_iterations=30))
+    untangle: UntangleOptions = field(
+        default_factory=lambda: UntangleOptions("beta", beta=0.6, local=True, reach=6, max_iterations=25)
+    )
     smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-3))
     untangle_rounds: int = 3
     smooth_rounds: int = 15
@@ -206,14 +208,15 @@ def _improve(
     return job.batch, job.report()
 
 
+# Rounds of flips between two goes of untangling: the first flips do most, the last ones have tangles
+# as their only guide.
+_FLIP_ROUNDS = 2
+
 # A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
 _STILL = 0.02
 
 # The inverse mean ratio of a triangle that is all but flat.
 _SLIVER = 50.0
-
-# Rings of vertices round the triangles that untangle-beta pushes which may give way.
-_REACH = 6
 
 
 class _Job:
@@ -306,7 +309,7 @@ class _Job:
             best, since = self.quality.inverted, torch.zeros_like(self.quality.inverted)
             for _ in range(self.options.untangle_rounds):
                 going = self.tangled & (since < 2)
-                self._flip("flip", going, FlipOptions())
+                self._flip("flip", going, FlipOptions(max_rounds=_FLIP_ROUNDS))
                 self._untangle("untangle-beta", going & self.tangled, self.options.untangle)
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
@@ -400,8 +403,7 @@ class _Job:
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
-                free = _near(part, small_triangles(part, options.beta), _REACH)
-                part, info = untangle(part, options, free=free, monitor=self._monitor(stage, at))
+                part, info = untangle(part, options, monitor=self._monitor(stage, at))
                 done(part, iterations=info.iterations)
 
     def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, near: Tensor | None = None) -> None:
@@ -487,14 +489,6 @@ class _Job:
                 report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
 
         return monitor
-
-
-def _near(batch: MeshBatch, core: Tensor, rings: int) -> Tensor:
-    """(V,) bool: the vertices of the triangles `core` (T,) bool and of `rings` - 1 rings round them."""
-    near = corners_of(batch, core)
-    for _ in range(rings - 1):
-        near = corners_of(batch, touching(batch, near))
-    return near
 
 
 def _rewired(before: MeshBatch, after: MeshBatch) -> Tensor:

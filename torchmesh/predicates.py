@@ -14,7 +14,7 @@ from torch import Tensor
 _EPSILON = 2.0**-53
 _ORIENTATION_BOUND = (3 + 16 * _EPSILON) * _EPSILON
 _INCIRCLE_BOUND = (10 + 96 * _EPSILON) * _EPSILON
-# Below this a product may have lost bits to underflow, and the filter's bound does not hold.
+# In sums below this a product may have lost bits to underflow, and the filter's bound does not hold.
 _UNDERFLOW = 1e-270
 
 
@@ -48,8 +48,9 @@ def _decide(
     exact: Callable[[list[Tensor]], Tensor],
 ) -> Tensor:
     """(N,) int8 sign of the determinant: its own where rounding cannot change it, else that of `exact`."""
-    sure = (determinant.abs() > bound * magnitude) & (magnitude > _UNDERFLOW) & magnitude.isfinite()
-    sign = determinant.sign().nan_to_num().to(torch.int8)
+    # Not where anything has overflowed, as no number is above infinity; NaN is above none.
+    sure = determinant.abs() > (magnitude * bound).clamp_min_(_UNDERFLOW)
+    sign = determinant.sign().to(torch.int8)
     unsure = (~sure).nonzero().squeeze(1)
     if len(unsure):
         sign[unsure] = exact([r[unsure] for r in rows])

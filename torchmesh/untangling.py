@@ -9,7 +9,7 @@ from torch import Tensor
 from .energies import Regularised, Target, UntangleBeta, equilateral, select_rows, target_of
 from .errors import InvalidMeshError
 from .lbfgs import BLOCK, LbfgsOptions, minimise
-from .mesh import MeshBatch, put, triangle_mesh
+from .mesh import MeshBatch, put, surroundings, triangle_mean, triangle_mesh, vertex_mean
 from .packing import MeshObjective, Packing, pack
 from .quality import upright
 from .segments import counts_from_offsets, segment_any, segment_count, segment_min, segment_sum, spread
@@ -26,7 +26,9 @@ class UntangleOptions:
                        target (Garanzha et al. 2021); "beta": Knupp's untangle-beta (Kim 2017, equation 2)
     beta               beta of "beta": the area below which a triangle is pushed, as a part of the
                        mesh's mean absolute area
+    local              beta is a part of no more than twice the usual area nearby, for graded meshes
     absolute_beta      beta in the mesh's own unit of area instead, as printed in Kim 2017 (0.01 there)
+    reach              rings of vertices round the triangles that "beta" pushes which move; None: all move
     size_sweeps        how often the target sizes of "regularised" are averaged over neighbours: each in
                        turn until a mesh is valid, from where it was given
     max_iterations     L-BFGS steps tried at most, for "regularised" per value of epsilon
@@ -35,7 +37,9 @@ class UntangleOptions:
 
     method: Literal["regularised", "beta"] = "regularised"
     beta: float = 0.01
+    local: bool = False
     absolute_beta: float | None = None
+    reach: int | None = None
     size_sweeps: tuple[int, ...] = (100, 20, 1000)
     max_iterations: int = 500
     max_continuations: int = 100
@@ -48,6 +52,10 @@ class UntangleOptions:
                 raise ValueError(f"UntangleOptions.{name} must be at least 1, not {getattr(self, name)}")
         if not self.size_sweeps or min(self.size_sweeps) < 0:
             raise ValueError(f"UntangleOptions.size_sweeps must be numbers, none negative, not {self.size_sweeps!r}")
+        if self.reach is not None and self.reach < 1:
+            raise ValueError(f"UntangleOptions.reach must be at least 1, not {self.reach}")
+        if self.local and self.absolute_beta is not None:
+            raise ValueError("UntangleOptions.local and absolute_beta exclude each other")
         for name in ("beta", "absolute_beta"):
             value = getattr(self, name)
             if value is not None and not value >= 0:
@@ -82,10 +90,9 @@ def untangle(
     may_move = ~batch.fixed & spread(tangled, batch.point_offsets)
     if free is not None:
         may_move &= free
-    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     if options.method == "beta":
-        unknowns, info = _untangle_beta(batch, packing, options, monitor)
-        return _judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
+        return _untangle_beta(batch, may_move, options, monitor)
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
     moved, info = _try_regularised(batch, packing, target, size, options, monitor)
     rest = options.size_sweeps[1:] if reference is None else options.size_sweeps
@@ -151,44 +158,54 @@ def _merged(info: MoveInfo, at: Tensor, part: MoveInfo, better: Tensor) -> MoveI
 
 
 def _untangle_beta(
-    batch: MeshBatch, packing: Packing, options: UntangleOptions, monitor: Monitor | None
-) -> tuple[Tensor, MoveInfo]:
-    area = signed_area(corners(batch.points.to(torch.float64), batch.triangles)).abs()
-    if options.absolute_beta is None:
-        mean = segment_sum(area, batch.triangle_offsets) / counts_from_offsets(batch.triangle_offsets)
-        beta = options.beta * mean
-    else:
-        mean = beta = torch.full_like(packing.unit, options.absolute_beta)
-    # Areas in units of the mesh's mean, so that the tolerances mean the same on every mesh.
-    mean = torch.where(mean > 0, mean, 1.0)
-    ratio = packing.unit / mean * packing.unit
+    batch: MeshBatch, may_move: Tensor, options: UntangleOptions, monitor: Monitor | None
+) -> tuple[MeshBatch, MoveInfo]:
+    # Areas in units of what is usual, so that the tolerances mean the same on every mesh.
+    usual = usual_area(batch, options)
+    beta = options.beta if options.absolute_beta is None else 1.0
+    if options.reach is not None:
+        area = signed_area(corners(batch.points.to(torch.float64), batch.triangles))
+        may_move = may_move & surroundings(batch, area < beta * usual, options.reach)
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
+    unit = spread(packing.unit, packing.triangle_offsets)
     objective = MeshObjective(
-        UntangleBeta(spread(beta / mean, packing.triangle_offsets)),
-        Target(1.0, 0.0, 1.0, spread(ratio, packing.triangle_offsets)),
+        UntangleBeta(beta),
+        Target(1.0, 0.0, 1.0, unit / usual.index_select(0, packing.triangles) * unit),
         packing.rows,
         packing.anchored,
         packing.block_offsets,
         packing.triangle_offsets,
         # The Hessian of (area)^2 at a vertex is the square of the edge opposite: large triangles are
-        # stiff, so lengths are measured in mean area over local size.
+        # stiff, so lengths are measured in usual area over local size.
         packing.spread_vertices(
-            spread(mean / packing.unit, batch.point_offsets) / vertex_size(batch).clamp_min(1e-150)
+            vertex_mean(batch, usual) / spread(packing.unit, batch.point_offsets) / vertex_size(batch).clamp_min(1e-150)
         ),
     )
     settings = LbfgsOptions(
         max_iterations=options.max_iterations, gradient_tolerance=1e-12, energy_tolerance=1e-6, first_step=0.1
     )
     result = minimise(objective, packing.unknowns, settings, monitor)
-    return result.unknowns, MoveInfo(
-        result.energy, result.gradient, result.iterations, result.evaluations, result.status
-    )
+    info = MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, result.status)
+    return _judged(batch, batch.with_points(packing.unpack(result.unknowns, batch.points)), info)
 
 
-def small_triangles(batch: MeshBatch, beta: float) -> Tensor:
-    """(T,) bool: the triangles of less area than `beta` of their mesh's mean, which untangle-beta pushes."""
-    area = signed_area(corners(batch.points.to(torch.float64), batch.triangles))
-    mean = segment_sum(area.abs(), batch.triangle_offsets) / counts_from_offsets(batch.triangle_offsets)
-    return area < beta * spread(mean, batch.triangle_offsets)
+def usual_area(batch: MeshBatch, options: UntangleOptions) -> Tensor:
+    """(T,) the area, in the batch's unit, of which beta is a part."""
+    if options.absolute_beta is not None:
+        return torch.full(
+            (len(batch.triangles),), options.absolute_beta, dtype=torch.float64, device=batch.points.device
+        )
+    area = signed_area(corners(batch.points.to(torch.float64), batch.triangles)).abs()
+    mean = segment_sum(area, batch.triangle_offsets) / counts_from_offsets(batch.triangle_offsets)
+    usual = spread(mean, batch.triangle_offsets)
+    if options.local:
+        local = triangle_mean(batch, local_size(batch, _LOCAL_SWEEPS)).square() * (SQRT3 / 4)
+        usual = torch.minimum(usual, 2 * local)
+    return torch.where(usual > 0, usual, 1.0)
+
+
+# How far "local" looks round a vertex, in edges.
+_LOCAL_SWEEPS = 20
 
 
 def _local_target(batch: MeshBatch, sweeps: int) -> tuple[Target, Tensor]:
@@ -292,13 +309,9 @@ def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
     enclosed = segment_sum(area, offsets)
     mean = spread(segment_sum(area.abs(), offsets) / counts_from_offsets(offsets), offsets)
     share = area.abs() / torch.where(mean > 0, mean, 1.0)
-    corner = batch.triangles.reshape(-1)
-    count = torch.bincount(corner, minlength=len(batch.points)).clamp_min(1)
-    size = share.new_zeros(len(batch.points)).index_add_(0, corner, share.repeat_interleave(3))
-    size = (size / count).sqrt().clamp_min(1e-3)
+    size = vertex_mean(batch, share).sqrt().clamp_min(1e-3)
     for _ in range(sweeps):
-        per_triangle = size[batch.triangles].mean(1)
-        size = size.new_zeros(len(size)).index_add_(0, corner, per_triangle.repeat_interleave(3)) / count
-    target = size[batch.triangles].mean(1).square() * (SQRT3 / 4)
+        size = vertex_mean(batch, triangle_mean(batch, size))
+    target = triangle_mean(batch, size).square() * (SQRT3 / 4)
     factor = (enclosed.abs() / segment_sum(target, offsets)).sqrt()
     return size * spread(factor, batch.point_offsets)
