@@ -24,7 +24,7 @@ _WORTH = 1.2
 
 
 # Above this mean or maximum of the inverse mean ratio, flips and smoothing have not come far enough.
-_MEAN, _MAX = 1.055, 1.8
+_MEAN, _MAX = 1.06, 1.9
 
 
 def crowded(q: Quality, options: RemeshOptions) -> Tensor:
