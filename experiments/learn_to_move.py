@@ -88,7 +88,7 @@ class Task:
 
 
 class Mover(nn.Module):
-    """Displacements from places and the motion's code: a perceptron on each vertex, and a few rounds with neighbours."""
+    """Displacements from places and the motion's code: a perceptron on each vertex, rounds with neighbours."""
 
     def __init__(self, width: int = 64, rounds: int = 4) -> None:
         super().__init__()

@@ -157,7 +157,7 @@ def crossed() -> tm.MeshBatch:
 
 def test_untangle_refuses_or_passes_what_cannot_be_untangled():
     mesh = tm.join([crossed(), grid()])
-    with pytest.raises(tm.ConvergenceError, match="mesh 0"):
+    with pytest.raises(tm.InvalidMeshError, match=r"mesh 0 cannot be untangled: .*meet at"):
         nn.Untangle(mesh)(mesh.points)
     layer = nn.Untangle(mesh, on_failure="keep")
     points = mesh.points.clone().requires_grad_()
@@ -237,6 +237,12 @@ def test_wrong_points_are_refused(points, message):
 def test_wrong_options_are_refused_by_name(name):
     with pytest.raises(ValueError, match=name):
         nn.LayerOptions(**{name: 0})
+
+
+@pytest.mark.parametrize("smooth", [{"boundary": "slide"}, {"targets": torch.eye(2).double()[None]}])
+def test_energies_without_a_derivative_are_refused(smooth):
+    with pytest.raises(ValueError, match=r"LayerOptions\.smooth"):
+        nn.LayerOptions(tm.SmoothOptions(**smooth))
 
 
 def test_on_failure_is_one_of_two():

@@ -30,6 +30,15 @@ def test_code_block_runs(language, code, tmp_path):
         assert (tmp_path / "better.png").exists()
 
 
+def test_training_blocks_run(tmp_path):
+    blocks = re.findall(r"<!-- test: training -->\n```(\w+)\n(.*?)```", README, re.DOTALL)
+    assert [language for language, _ in blocks] == ["sh", "python"]
+    (_, command), (_, code) = blocks
+    subprocess.run([sys.executable, "-m", *command.split()], cwd=tmp_path, check=True, timeout=120)
+    ends = "\nassert torch.isfinite(points.grad).all() and points.grad.abs().max() > 0\n"
+    subprocess.run([sys.executable, "-W", "error", "-c", code + ends], cwd=tmp_path, check=True, timeout=120)
+
+
 def test_both_languages_are_shown():
     assert [language for language, _ in BLOCKS] == ["sh", "python"]
 

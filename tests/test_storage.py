@@ -107,9 +107,14 @@ def test_batch_after_batch_is_the_whole(path):
 def test_an_error_leaves_the_old_file(path):
     tm.save_batch(path, grid())
     old = path.read_bytes()
-    with pytest.raises(RuntimeError, match="stopped"), tm.BatchWriter(path) as writer:
-        writer.append(l_shape())
-        raise RuntimeError("stopped")
+
+    def stopped() -> None:
+        with tm.BatchWriter(path) as writer:
+            writer.append(l_shape())
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        stopped()
     assert path.read_bytes() == old
     assert os.listdir(path.parent) == [path.name]
 

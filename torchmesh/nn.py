@@ -21,16 +21,17 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from .diagnosis import diagnose
 from .energies import InverseMeanRatio, chunk_borders, energy_and_forces, equilateral
-from .errors import InvalidMeshError
+from .errors import ConvergenceError, InvalidMeshError
 from .hessian import Hessian, solve
 from .lbfgs import BLOCK
-from .mesh import MeshBatch
+from .mesh import MeshBatch, put
 from .packing import Packing, pack
-from .pipeline import ImproveOptions, improve
 from .quality import upright
 from .segments import segment_any, segment_max, segment_sum, spread
 from .smoothing import SmoothOptions, smooth, vertex_size
+from .untangling import UntangleOptions, untangle
 
 _STEP_HALVINGS = 40
 # A Newton step this small, in local edge lengths, is well inside the region of quadratic convergence.
@@ -43,7 +44,9 @@ _ROUGHEST = 0.1
 class LayerOptions:
     """How `Smooth` and `Untangle` find their minimum and its derivative.
 
-    smooth         the energy (power, ceiling) and the L-BFGS that goes ahead
+    smooth         the energy (power, ceiling) and the L-BFGS that goes ahead; the boundary stays and the
+                   targets are equilateral
+    untangle       how `Untangle` makes meshes valid; by default short, for what is trained on by the thousand
     newton_steps   Newton steps at most, which take the L-BFGS result to the minimum
     tolerance      a mesh is at its minimum when the largest move of a Newton step is below this, in
                    local edge lengths
@@ -52,12 +55,19 @@ class LayerOptions:
     """
 
     smooth: SmoothOptions = field(default_factory=SmoothOptions)
+    untangle: UntangleOptions = field(
+        default_factory=lambda: UntangleOptions("regularised", max_iterations=50, max_continuations=15)
+    )
     newton_steps: int = 20
     tolerance: float = 1e-9
     cg_tolerance: float = 1e-10
     cg_iterations: int = 5000
 
     def __post_init__(self) -> None:
+        if self.smooth.boundary != "fixed" or self.smooth.targets is not None:
+            raise ValueError(
+                "LayerOptions.smooth must have boundary='fixed' and no targets: others have no derivative yet"
+            )
         for name in ("newton_steps", "cg_iterations"):
             if getattr(self, name) < 1:
                 raise ValueError(f"LayerOptions.{name} must be at least 1, not {getattr(self, name)}")
@@ -144,20 +154,32 @@ class Smooth(_Layer):
 class Untangle(_Layer):
     """Points of any kind to those of a valid, smooth mesh with the same boundary and triangles.
 
-    Forward is `improve` with topology="keep": it untangles by every means that keeps the triangles,
-    then smooths.  What is differentiated is the minimum that it ends in, that of the sum of q^p of
-    the inverse mean ratio, the same as in `Smooth`; how the mesh was untangled leaves no trace in it.
+    Forward is `untangle` (by default the regularised functional), then `smooth`.  What is differentiated
+    is the minimum that it ends in, that of the sum of q^p of the inverse mean ratio, the same as in
+    `Smooth`; how the mesh was untangled leaves no trace in it.  `improve` with topology="keep" tries
+    more on hard meshes, at a price no training step can pay.
 
     mesh, options  as for `Smooth`
-    on_failure     "raise": ConvergenceError when a mesh cannot be made valid without changing its
-                   triangles; "keep": such a mesh comes out as far as it got
+    on_failure     "raise": ConvergenceError when a mesh does not come out valid, InvalidMeshError when its
+                   boundary admits no valid mesh; "keep": such a mesh comes out as far as it got
     """
 
     def _valid(self, given: MeshBatch) -> MeshBatch:
-        better, report = improve(given, ImproveOptions(topology="keep", smooth=self.options.smooth))
-        if self.on_failure == "raise":
-            report.check()
-        return better
+        problems = diagnose(given)
+        hopeless = torch.zeros(len(given), dtype=torch.bool, device=given.points.device)
+        hopeless[[problem.mesh for problem in problems]] = True
+        if self.on_failure == "raise" and problems:
+            raise InvalidMeshError(f"mesh {problems[0].mesh} cannot be untangled: {problems[0].message}")
+        better = given
+        if not bool(hopeless.all()):
+            better = put(given, ~hopeless, untangle(given.select(~hopeless), self.options.untangle)[0])
+        failed = segment_any(~upright(better), better.triangle_offsets)
+        if self.on_failure == "raise" and bool(failed.any()):
+            raise ConvergenceError(
+                f"meshes {failed.nonzero().squeeze(1).tolist()[:10]} were not untangled with these triangles; "
+                "improve them first, or use on_failure='keep'"
+            )
+        return smooth(better, self.options.smooth)[0]
 
 
 def minimum(points: Tensor, start: MeshBatch, options: LayerOptions | None = None) -> tuple[Tensor, LayerInfo]:
