@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test bench clean
+.PHONY: demo test bench docs clean
 
 demo: .venv/demo
 	$(BIN)/torchmesh reproduce --out out
@@ -18,6 +18,9 @@ test: .venv/test
 bench: .venv/test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name -o addopts=
 
+docs: .venv/docs
+	$(BIN)/python -m mkdocs build --strict
+
 .venv/torch:
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet "$(TORCH)"
@@ -27,9 +30,13 @@ bench: .venv/test
 	$(BIN)/python -m pip install --quiet -e '.[plot]'
 	touch $@
 
+.venv/docs: .venv/torch pyproject.toml
+	$(BIN)/python -m pip install --quiet -e '.[docs]'
+	touch $@
+
 .venv/test: .venv/torch pyproject.toml
 	$(BIN)/python -m pip install --quiet -e '.[test]'
 	touch $@
 
 clean:
-	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf .venv out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

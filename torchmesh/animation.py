@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -128,24 +129,38 @@ class _Camera:
         self.near.set_title("close-up of the red rectangle", fontsize=10)
         self.sheet.figure.set_dpi(_DPI)
         self.canvas = FigureCanvasAgg(self.sheet.figure)
-        self.keyed = False
+        self.background: Any = None
 
     def picture(self, name: str, mesh: MeshBatch) -> np.ndarray:
         """(height, width, 3) uint8, height and width even."""
-        for ax in (self.whole, self.near):
-            for artist in (*ax.collections, *ax.lines, *ax.patches):
-                artist.remove()
         q = measure(mesh)
         fill = plot_mesh(self.whole, mesh, q, self.view, frame=self.close_up)
         self.whole.set_title(summary(f"{name}:", mesh, q, self.sheet.panel[0]), fontsize=10)
         plot_mesh(self.near, mesh, q, self.close_up)
-        if not self.keyed:
+        changing = [[*ax.collections, *ax.lines, *ax.patches] for ax in (self.whole, self.near)]
+        if self.background is None:
             self.sheet.colour_bar(fill)
-            self.keyed = True
-        self.canvas.draw()
+            self._keep_background([*changing[0], *changing[1], self.whole.title])
+        self.canvas.restore_region(self.background)
+        for ax, artists in zip((self.whole, self.near), changing, strict=True):
+            for artist in sorted(artists, key=lambda a: a.get_zorder()):
+                ax.draw_artist(artist)
+                artist.remove()
+            for spine in ax.spines.values():
+                ax.draw_artist(spine)
+        self.whole.draw_artist(self.whole.title)
         pixels = np.asarray(self.canvas.buffer_rgba())[..., :3]
         height, width = pixels.shape[0] // 2 * 2, pixels.shape[1] // 2 * 2
         return pixels[:height, :width].copy()
+
+    def _keep_background(self, changing: list[Any]) -> None:
+        """Draw axes, ticks, key and labels once: they take most of the time of a picture and never change."""
+        for artist in changing:
+            artist.set_visible(False)
+        self.canvas.draw()
+        self.background = self.canvas.copy_from_bbox(self.sheet.figure.bbox)
+        for artist in changing:
+            artist.set_visible(True)
 
 
 def _write_gif(path: Path, pictures: Iterator[tuple[np.ndarray, float]]) -> None:

@@ -1,0 +1,118 @@
+"""The documentation: every code block of every page runs, its names exist, its figure is what the script draws."""
+
+import importlib.util
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import torchmesh
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    return BLOCK.findall(page.read_text(encoding="utf-8"))
+
+
+def script(page: Path) -> str:
+    """One Python program that does what the page's blocks do, in order, with one set of names."""
+    lines = []
+    for language, code in blocks(page):
+        if language == "python":
+            lines.append(code)
+        elif language == "sh":
+            for line in code.strip().splitlines():
+                command, _, comment = line.partition("#")
+                status = int(match[1]) if (match := re.search(r"exit status (\d)", comment)) else 0
+                program, *arguments = shlex.split(command)
+                assert program == "torchmesh", f"{page}: {line}"
+                lines.append(f"__run({arguments!r}, {status})")
+    start = (
+        "from torchmesh import cli as __cli\n"
+        "def __run(arguments, expected):\n"
+        "    status = __cli.main(arguments)\n"
+        "    assert status == expected, (arguments, status)\n"
+    )
+    return start + "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if any(b[0] in ("python", "sh") for b in blocks(p))], ids=lambda p: p.stem
+)
+def test_the_blocks_of_a_page_run(page, tmp_path):
+    if "to_pyvista" in page.read_text():
+        pytest.importorskip("pyvista")
+    shutil.copy(ROOT / "torchmesh" / "data" / "bar.vtk", tmp_path / "undeformed.vtk")
+    (tmp_path / "page.py").write_text(script(page))
+    done = subprocess.run([sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+
+def test_the_guides_are_there_and_every_block_has_a_language_that_runs_or_is_text():
+    assert {p.stem for p in (DOCS / "guides").glob("*.md")} == {
+        "untangle-a-file", "batches", "moving-meshes", "training",
+    }  # fmt: skip
+    for page in PAGES:
+        assert {language for language, _ in blocks(page)} <= {"python", "sh", "text"}, page
+    assert sum(len(blocks(page)) for page in PAGES) >= 20
+
+
+def test_the_names_of_the_reference_exist():
+    names = re.findall(r"^::: torchmesh\.([\w.]+)$", (DOCS / "api.md").read_text(), re.MULTILINE)
+    assert set(torchmesh.__all__) - set(names) == {"nn"}, "which stands there as its classes"
+    for name in names:
+        value = torchmesh
+        for part in name.split("."):
+            value = getattr(value, part)
+        assert value.__doc__, name
+
+
+def test_the_figure_is_what_the_script_draws(tmp_path):
+    subprocess.run([sys.executable, ROOT / "experiments" / "draw_loop.py", tmp_path / "loop.svg"], check=True)
+    assert (tmp_path / "loop.svg").read_text() == (DOCS / "loop.svg").read_text()
+
+
+@pytest.fixture(scope="module")
+def docstrings():
+    pytest.importorskip("griffe")
+    spec = importlib.util.spec_from_file_location("docstrings", DOCS / "docstrings.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_columns_of_a_docstring_become_a_list(docstrings):
+    text = "Sum.\n\npoints    (V, 2) float64, any\n          unit\nlow, high  (B,) limits\n\nRaises  nothing\nat all"
+    assert docstrings.lists_of_columns(text) == (
+        "Sum.\n\n- **points**: (V, 2) float64, any\n  unit\n- **low, high**: (B,) limits\n\n"
+        "- **Raises**: nothing\n\nat all"
+    )
+    drawing = "A drawing:\n\n    a  --> b\n    c  --> d"
+    assert docstrings.lists_of_columns(drawing) == drawing
+
+
+def test_the_site_builds_without_warnings_and_asks_no_other_server(tmp_path):
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("material")
+    pytest.importorskip("mkdocstrings")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    pages = list((tmp_path / "site").rglob("*.html"))
+    assert len(pages) >= len(PAGES)
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe)[^>]*\ssrc=\"?([^\s\">]+)", text)
+        loaded += re.findall(r"<link[^>]*rel=\"?(?:stylesheet|icon|preconnect|preload)[^>]*href=\"?([^\s\">]+)", text)
+        assert not [url for url in loaded if url.startswith(("http:", "https:", "//"))], page
+    reference = (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    for name in ("torchmesh.improve", "torchmesh.MeshBatch", "torchmesh.report_page"):
+        assert f'id="{name}"' in reference
