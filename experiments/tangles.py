@@ -129,7 +129,9 @@ def local_length(mesh: tm.MeshBatch) -> Array:
 
 def _jittered(mesh: tm.MeshBatch, cells: float, seed: int) -> torch.Tensor:
     # An equilateral triangle's edge is 1.52 roots of its area.
-    throw = np.random.default_rng([seed, 2]).normal(size=mesh.points.shape) * (cells * 1.52 * local_length(mesh))[:, None]
+    throw = (
+        np.random.default_rng([seed, 2]).normal(size=mesh.points.shape) * (cells * 1.52 * local_length(mesh))[:, None]
+    )
     return torch.where(mesh.fixed[:, None], mesh.points, mesh.points + torch.from_numpy(throw))
 
 
@@ -162,9 +164,7 @@ def letter(arms: int) -> Array:
         side = []
         for i, p in enumerate(line):
             before, after = (line[i] - line[i - 1] if i else None), (line[i + 1] - p if i + 1 < len(line) else None)
-            normals = [
-                np.array([-d[1], d[0]]) / np.linalg.norm(d) for d in (before, after) if d is not None
-            ]
+            normals = [np.array([-d[1], d[0]]) / np.linalg.norm(d) for d in (before, after) if d is not None]
             side.append(p + sign * half * (normals[0] if len(normals) == 1 else normals[0] + normals[1]))
         sides.append(np.array(side))
     return np.concatenate([sides[0], sides[1][::-1]])
@@ -174,7 +174,9 @@ def _mapped(mesh: tm.MeshBatch, arms: float, seed: int) -> torch.Tensor:
     """The boundary loop onto the letter's outline by arc length, corner on corner where the spacing allows."""
     from torchmesh import connectivity
 
-    loop = connectivity.boundary_loops(connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles)))[0]
+    loop = connectivity.boundary_loops(connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles)))[
+        0
+    ]
     outline = letter(int(arms))
     closed = np.concatenate([outline, outline[:1]])
     corner = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])

@@ -17,6 +17,9 @@ from .smoothing import Monitor, MoveInfo, vertex_size
 from .status import Status
 from .triangle import SQRT3, Corners, corners, signed_area
 
+# Where epsilon ends (Garanzha et al. 2021).
+_LEAST_EPS = 1e-9
+
 
 @dataclass(frozen=True)
 class UntangleOptions:
@@ -77,7 +80,8 @@ def untangle(
     triangles.
 
     reference  the meshes undeformed, the same triangles, all upright: the first try of "regularised"
-               has each triangle's own undeformed shape and size as its target
+               has each triangle's own undeformed shape and size as its target, and goes on from the
+               first valid mesh to the least energy
     free       (V,) bool, move only these of the vertices that are not fixed
     monitor    called with the iteration and the energies of the meshes still running
 
@@ -94,7 +98,7 @@ def untangle(
         return _untangle_beta(batch, may_move, options, monitor)
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
-    moved, info = _try_regularised(batch, packing, target, size, options, monitor)
+    moved, info = _try_regularised(batch, packing, target, size, options, monitor, settle=reference is not None)
     rest = options.size_sweeps[1:] if reference is None else options.size_sweeps
     for sweeps in rest:
         again = info.status != Status.VALID
@@ -225,7 +229,13 @@ def _own_target(batch: MeshBatch, reference: MeshBatch) -> tuple[Target, Tensor]
 
 
 def _try_regularised(
-    batch: MeshBatch, packing: Packing, target: Target, size: Tensor, options: UntangleOptions, monitor: Monitor | None
+    batch: MeshBatch,
+    packing: Packing,
+    target: Target,
+    size: Tensor,
+    options: UntangleOptions,
+    monitor: Monitor | None,
+    settle: bool = False,
 ) -> tuple[MeshBatch, MoveInfo]:
     # From the batch's unit to the packing's.
     unit = spread(packing.unit, batch.triangle_offsets)
@@ -233,15 +243,24 @@ def _try_regularised(
     packed = select_rows(
         Target(target.g11 * square, target.g12 * square, target.g22 * square, target.m * square), packing.triangles
     )
-    unknowns, info = _regularised(packing, packed, size / spread(packing.unit, batch.point_offsets), options, monitor)
+    size = size / spread(packing.unit, batch.point_offsets)
+    unknowns, info = _regularised(packing, packed, size, options, monitor, settle)
     return _judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
 
 
 def _regularised(
-    packing: Packing, target: Target, size: Tensor, options: UntangleOptions, monitor: Monitor | None
+    packing: Packing,
+    target: Target,
+    size: Tensor,
+    options: UntangleOptions,
+    monitor: Monitor | None,
+    settle: bool,
 ) -> tuple[Tensor, MoveInfo]:
-    """Continuation in epsilon (Garanzha et al. 2021), each mesh with its own; `target` and `size` in packed units."""
-    objective = MeshObjective(
+    """Continuation in epsilon (Garanzha et al. 2021), each mesh with its own; `target` and `size` in packed units.
+
+    settle  go on with the valid meshes at the least epsilon until their energy settles
+    """
+    whole_batch = objective = MeshObjective(
         Regularised(1.0),
         target,
         packing.rows,
@@ -284,6 +303,17 @@ def _regularised(
         info.status[rows[stuck]] = Status.STALLED
     info.status[rows[lowest > 0]] = Status.VALID
     info.status[info.status == Status.RUNNING] = Status.ITERATION_LIMIT
+    valid = info.status == Status.VALID
+    if settle and bool(valid.any()):
+        blocks = counts_from_offsets(whole_batch.block_offsets)
+        place = valid.repeat_interleave(blocks).repeat_interleave(BLOCK)
+        objective = replace(whole_batch.select(valid), energy=Regularised(_LEAST_EPS))
+        settings = replace(settings, energy_tolerance=1e-5)
+        result = minimise(objective, unknowns[place], settings, monitor)
+        unknowns[place] = result.unknowns
+        info.energy[valid], info.gradient[valid] = result.energy, result.gradient
+        info.iterations[valid] += result.iterations
+        info.evaluations[valid] += result.evaluations
     return unknowns, info
 
 
@@ -294,7 +324,7 @@ def _next_eps(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Ten
     chi = torch.where(lowest > 0, 0.5 * (lowest + root), 0.5 * eps * eps / (root - lowest))
     mu = (1 - sigma) * chi
     lower = 2 * torch.sqrt((mu * (mu - lowest)).clamp_min(0))
-    return torch.where(lowest < mu, lower, 0.0).clamp_min(1e-9)
+    return torch.where(lowest < mu, lower, 0.0).clamp_min(_LEAST_EPS)
 
 
 def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
