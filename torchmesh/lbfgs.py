@@ -133,8 +133,9 @@ class _Run:
 
     x, g       unknowns and scaled gradient; d, t, descent: direction, step, slope of the energy along d
     past       (K, 2m, BLOCK) the last m steps s, then the last m gradient changes y
-    sy, yy     (B, m, m) their products S'Y and Y'Y; sg, yg (B, m) their products with g
+    gram       (B, 2, m, m) their products S'Y and Y'Y; against (B, 2, m) S'g and Y'g
     valid      (B, m) the pairs that count: steps accepted, with positive curvature
+    gamma      (B,) s'y / y'y of the newest pair that counts: the scale of the first Hessian
     """
 
     def __init__(self, objective: Objective, start: Tensor, options: LbfgsOptions) -> None:
@@ -149,7 +150,7 @@ class _Run:
         self.g = torch.where(self._to_blocks(finite), self.g, 0.0)
         b, new = len(self.blocks), start.new_zeros
         self.past = new((len(self.x), 2 * m, BLOCK))
-        self.sy, self.yy, self.sg, self.yg = new((b, m, m)), new((b, m, m)), new((b, m)), new((b, m))
+        self.gram, self.against = new((b, 2, m, m)), new((b, 2, m))
         self.valid = torch.zeros((b, m), dtype=torch.bool, device=start.device)
         self.free = self._sum((self.scale > 0).to(start.dtype).sum(1)).clamp_min(1)
         self.gg = self._sum((self.g * self.g).sum(1))
@@ -158,7 +159,7 @@ class _Run:
         self.accepted = torch.zeros_like(self.status)
         self.evaluations = torch.ones_like(self.status)
         self.recent = self.energy.repeat(options.patience, 1)
-        first = self._first_step()
+        self.gamma = first = self._first_step()
         self.d = -self._to_blocks(first) * self.g
         self.descent = -first * self.gg
         self.t = self._limit(torch.ones_like(self.energy))
@@ -174,7 +175,7 @@ class _Run:
         self.objective = self.objective.select(keep)
         for name in ("x", "g", "d", "scale", "past"):
             setattr(self, name, getattr(self, name)[of_blocks])
-        for name in ("energy", "sy", "yy", "sg", "yg", "valid", "free", "gg", "status", "accepted",
+        for name in ("energy", "gram", "against", "gamma", "valid", "free", "gg", "status", "accepted",
                      "evaluations", "t", "descent"):  # fmt: skip
             setattr(self, name, getattr(self, name)[keep])
         self.recent = self.recent[:, keep]
@@ -238,49 +239,45 @@ class _Run:
         torch.sub(gradient, self.g, out=self.past[:, m + slot])
         self.x, self.g = x, gradient
         gg = self._sum((gradient * gradient).sum(1))
-        products = self._sum(_batched(gradient[:, None], self.past.mT).squeeze(1))
-        sg, yg = products[:, :m], products[:, m:]
-        along = self.t * self.descent
-        self.sy[:, :, slot] = sg - self.sg
-        self.sy[:, slot, slot] = sg[:, slot] - along
-        self.yy[:, :, slot] = self.yy[:, slot, :] = yg - self.yg
-        self.yy[:, slot, slot] = 2 * yg[:, slot] - gg + self.gg
-        self.valid[:, slot] = good & (self.sy[:, slot, slot] > _CURVATURE * self.yy[:, slot, slot])
-        self.valid[:, slot] &= self.yy[:, slot, slot] > 0
-        self.sg, self.yg, self.gg = sg, yg, gg
-        gamma, a, b = self._recursion([(slot + 1 + i) % m for i in range(m)])
-        self.descent = -(gamma * gg + (a * sg).sum(1) + (b * yg).sum(1))
+        against = self._sum(_batched(gradient[:, None], self.past.mT).squeeze(1)).reshape(-1, 2, m)
+        change = against - self.against
+        self.gram[..., slot] = change
+        self.gram[:, 1, slot] = change[:, 1]
+        sy = against[:, 0, slot] - self.t * self.descent
+        yy = 2 * against[:, 1, slot] - gg + self.gg
+        self.gram[:, 0, slot, slot], self.gram[:, 1, slot, slot] = sy, yy
+        curved = good & (sy > _CURVATURE * yy) & (yy > 0)
+        self.valid[:, slot] = curved
+        self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
+        self.against, self.gg = against, gg
+        weights = self._recursion(slot)
+        self.descent = -(self.gamma * gg + (weights * against.reshape(-1, 2 * m)).sum(1))
         lost = good & ~(self.descent < 0)
         if bool(lost.any()):
-            gamma = torch.where(lost, self._first_step(), gamma)
-            a, b = torch.where(lost[:, None], 0.0, a), torch.where(lost[:, None], 0.0, b)
+            self.gamma = torch.where(lost, self._first_step(), self.gamma)
+            weights = torch.where(lost[:, None], 0.0, weights)
             self.valid &= ~lost[:, None]
-            self.descent = torch.where(lost, -gamma * gg, self.descent)
-        weights = torch.cat([a, b], 1).index_select(0, self.owner)
-        self.d = _batched(weights[:, None], self.past).squeeze(1)
-        self.d.addcmul_(self._to_blocks(gamma), gradient).neg_()
+            self.descent = torch.where(lost, -self.gamma * gg, self.descent)
+        self.d = _batched(weights.index_select(0, self.owner)[:, None], self.past).squeeze(1)
+        self.d.addcmul_(self._to_blocks(self.gamma), gradient).neg_()
 
-    def _recursion(self, order: list[int]) -> tuple[Tensor, Tensor, Tensor]:
-        """The weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1.
+    def _recursion(self, slot: int) -> Tensor:
+        """(B, 2m) the weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1.
 
-        order  the slots from the oldest pair to the newest
+        slot  that of the newest pair
         """
-        valid = self.valid[:, order]
-        count = valid.to(self.gg.dtype)
-        both = count[:, :, None] * count[:, None, :]
-        sy, yy = self.sy[:, order][:, :, order] * both, self.yy[:, order][:, :, order] * both
-        sg, yg = self.sg[:, order] * count, self.yg[:, order] * count
-        diagonal = sy.diagonal(dim1=1, dim2=2)
-        newest = torch.where(valid, self._ages, -1).argmax(1, keepdim=True)
-        top, bottom = diagonal.gather(1, newest), yy.diagonal(dim1=1, dim2=2).gather(1, newest)
-        gamma = torch.where(bottom > 0, top / torch.where(bottom > 0, bottom, 1.0), self._first_step()[:, None])
+        order = self._slots.roll(-1 - slot)  # from the oldest pair to the newest
+        count = self.valid.index_select(1, order).to(self.gg.dtype)
+        gram = self.gram.index_select(2, order).index_select(3, order)
+        gram = gram * (count[:, None, :, None] * count[:, None, None, :])
+        against = self.against.index_select(2, order) * count[:, None]
+        (sy, yy), gamma = gram.unbind(1), self.gamma[:, None, None]
         upper = sy.triu() + torch.diag_embed(1 - count)
-        w = torch.linalg.solve_triangular(upper, sg[:, :, None], upper=True)
-        middle = diagonal[:, :, None] * w + gamma[:, :, None] * (yy @ w - yg[:, :, None])
-        a = torch.linalg.solve_triangular(upper.mT, middle, upper=False).squeeze(2) * count
-        b = -gamma * w.squeeze(2) * count
-        back = [order.index(i) for i in range(len(order))]
-        return gamma.squeeze(1), a[:, back], b[:, back]
+        w = torch.linalg.solve_triangular(upper, against[:, 0, :, None], upper=True)
+        middle = sy.diagonal(dim1=1, dim2=2)[:, :, None] * w + gamma * (yy @ w - against[:, 1, :, None])
+        a = torch.linalg.solve_triangular(upper.mT, middle, upper=False)
+        both = torch.cat([a, -gamma * w], 2).mT * count[:, None]
+        return both.index_select(2, self._slots.roll(1 + slot)).flatten(1)
 
     def _first_step(self) -> Tensor:
         """(B,) factor of the gradient for a step without history."""
@@ -295,7 +292,7 @@ class _Run:
         self.blocks = blocks
         self.offsets = offsets_from_counts(blocks)
         self.owner = torch.arange(len(blocks), device=blocks.device).repeat_interleave(blocks)
-        self._ages = torch.arange(self.options.history, device=blocks.device)
+        self._slots = torch.arange(self.options.history, device=blocks.device)
 
     def _to_blocks(self, per_problem: Tensor) -> Tensor:
         return per_problem.index_select(0, self.owner)[:, None]
