@@ -100,7 +100,7 @@ def bar(distance: float, height: float = 0.5) -> tm.MeshBatch:
     mesh = polygon(rectangle(2, 1, 0.05), [hole])
 
     def motion(p: torch.Tensor) -> torch.Tensor:
-        p[(p[:, 0] > 0.46) & (p[:, 0] < 0.54) & (p[:, 1] > 0.2) & (p[:, 1] < 0.8), 0] += distance
+        p[(p[:, 0] > 0.46) & (p[:, 0] < 0.54) & (p[:, 1] > 0.15) & (p[:, 1] < 0.85), 0] += distance
         return p
 
     return moved(mesh, motion)

@@ -198,8 +198,8 @@ def _improve(
     else:
         job.untangle()
         job.refine()
-        if options.topology == "flip" and options.smooth.targets is None:
-            job.remesh()
+        if options.topology != "keep" and options.smooth.targets is None:
+            job.relocate()
             if options.slides:
                 job.smooth_again()
     job.count_moved()
@@ -355,20 +355,27 @@ class _Job:
         elsewhere = (self.batch.points != self.given.points).any(1)
         self.moved = segment_count(elsewhere, self.given.point_offsets)
 
+    def relocate(self) -> None:
+        """Splits and collapses in pairs, so that every row stays, where shapes are poor or sizes were asked for."""
+        # Where vertices may also come and go, that is the way to sizes.
+        asked = RemeshOptions() if self.options.topology == "full" else self.options.remesh
+        self._recut("relocate", crowded(self.quality, asked), Relocation)
+
     def remesh(self) -> None:
-        """Splits and collapses where they better the valid meshes; under "flip" in pairs, so that every row stays."""
-        full = self.options.topology == "full"
-        at = self.quality.inverted == 0 if full else crowded(self.quality, self.options.remesh)
+        """Splits and collapses where they better the valid meshes."""
+        self.remeshed = self._recut("remesh", self.quality.inverted == 0, Remeshing).info()
+
+    def _recut(self, stage: str, at: Tensor, kind: type[Remeshing]) -> Remeshing:
         options, reference = self.options.remesh, self.options.reference
         if reference is not None and isinstance(options.sizes, str) and options.sizes == "keep":
             options = replace(options, sizes=size_field(reference, "keep"))
-        work = (Remeshing if full else Relocation)(self.batch, options)
+        work = kind(self.batch, options)
         if bool(at.any()):
-            with self._stage("remesh" if full else "relocate", at) as done:
+            with self._stage(stage, at) as done:
                 work.improve(at)
                 self._twin = None
                 done(work.batch, flips=work.flips[at])
-        self.remeshed = work.info() if full else None
+        return work
 
     def report(self) -> Report:
         """The certificate and the log."""
