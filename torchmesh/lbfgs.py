@@ -248,8 +248,9 @@ class _Run:
         self.gram[:, 0, slot, slot], self.gram[:, 1, slot, slot] = sy, yy
         curved = good & (sy > _CURVATURE * yy) & (yy > 0)
         self.valid[:, slot] = curved
-        self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
         self.against, self.gg = against, gg
+        self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
+        self.gamma = torch.where(self.valid.any(1), self.gamma, self._first_step())
         weights = self._recursion(slot)
         self.descent = -(self.gamma * gg + (weights * against.reshape(-1, 2 * m)).sum(1))
         lost = good & ~(self.descent < 0)
