@@ -1,0 +1,130 @@
+"""Move a boundary in steps so that nothing tangles, or all at once and untangle: which is better, and for what price?
+
+    python experiments/deform_or_untangle.py --out out/deform
+
+A hole moved through a channel and an airfoil turned in its far field, further and further, each by
+`deform` and by FEMWARP with `improve`.  Writes a table and a plot: seconds of the processor, mean
+and largest inverse mean ratio, and how well sizes are kept: the spread (standard deviation) of the
+logarithm of edge lengths at the moved boundary over what they were there before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from pathlib import Path
+
+import torch
+from tangles import FAMILIES, tangle
+
+import torchmesh as tm
+from torchmesh import connectivity
+
+FAMILY_NAMES = ("moved", "turned")
+
+
+def size_kept(before: tm.MeshBatch, after: tm.MeshBatch) -> float:
+    """Root mean square of log(edge length after / before), as means round each moved boundary vertex."""
+    moved = before.fixed & (before.points != after.points).any(1)
+
+    def mean_length(mesh: tm.MeshBatch) -> torch.Tensor:
+        edges = connectivity.edges(mesh.triangles, connectivity.twins(mesh.triangles))
+        length = (mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]]).norm(dim=1)
+        total = torch.zeros(len(mesh.points), dtype=length.dtype).index_add_(
+            0, edges.reshape(-1), length.repeat_interleave(2)
+        )
+        return total / torch.bincount(edges.reshape(-1), minlength=len(mesh.points)).clamp_min(1)
+
+    ratio = (mean_length(after) / mean_length(before))[moved].log()
+    return float(ratio.square().mean().sqrt())
+
+
+def rows(triangles: int, grading: float, cache: Path) -> list[dict]:
+    found = []
+    for family in FAMILY_NAMES:
+        for value in FAMILIES[family].values:
+            case = tangle(family, value, triangles, grading, 0, cache)
+            for way in ("deform", "untangle"):
+                started = time.process_time()
+                if way == "deform":
+                    after, report = tm.deform(case.undeformed, case.tangled.points)
+                    steps, done = int(report.steps), bool((report.status == tm.Status.VALID).all())
+                else:
+                    after, result = tm.improve(case.tangled)
+                    steps, done = 1, bool(result.valid.all())
+                seconds = time.process_time() - started
+                q = tm.quality(after)
+                found.append(
+                    {
+                        "family": family,
+                        "value": value,
+                        "way": way,
+                        "done": done,
+                        "inverted before": int(tm.quality(case.tangled).inverted) if way == "untangle" else 0,
+                        "steps": steps,
+                        "seconds": seconds,
+                        "mean": float(q.mean),
+                        "max": float(q.max),
+                        "size": size_kept(case.undeformed, after),
+                    }
+                )
+                print(
+                    f"{family:8} {value:5g} {way:9} {'valid' if done else 'NOT':5} {steps:4} steps {seconds:6.2f} s  "
+                    f"IMR {found[-1]['mean']:.3f} / {found[-1]['max']:.2f}  size {found[-1]['size']:.3f}",
+                    flush=True,
+                )
+    return found
+
+
+def draw(found: list[dict], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    columns = (
+        ("seconds", "seconds"),
+        ("mean", "IMR, average"),
+        ("max", "IMR, maximum"),
+        ("size", "edge lengths at the body:\nlog deviation from before"),
+    )
+    figure, axes = plt.subplots(len(FAMILY_NAMES), len(columns), figsize=(15, 6.5), layout="constrained")
+    for row, family in zip(axes, FAMILY_NAMES, strict=True):
+        for axis, (name, label) in zip(row, columns, strict=True):
+            for way, style in (("deform", "o-"), ("untangle", "s--")):
+                part = [r for r in found if r["family"] == family and r["way"] == way]
+                axis.plot([r["value"] for r in part], [r[name] for r in part], style, label=way)
+            axis.set(xlabel=FAMILIES[family].unit, ylabel=label)
+            axis.set_ylim(bottom=1.0 if name in ("mean", "max") else 0.0)
+            axis.grid(alpha=0.3)
+    axes[0, 0].legend()
+    figure.suptitle("In steps that never tangle (deform), or at once and untangled (improve)")
+    figure.savefig(path, dpi=110)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--triangles", type=int, default=2200)
+    parser.add_argument("--grading", type=float, default=0.3)
+    parser.add_argument("--cache", type=Path, default=Path("out/cache"))
+    parser.add_argument("--out", type=Path, default=Path("out/deform"))
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    found = rows(arguments.triangles, arguments.grading, arguments.cache)
+    (arguments.out / "deform_or_untangle.json").write_text(json.dumps(found, indent=1))
+    draw(found, arguments.out / "deform_or_untangle.png")
+    ways = {way: [r for r in found if r["way"] == way] for way in ("deform", "untangle")}
+    for way, part in ways.items():
+        geometric = {
+            n: math.exp(sum(math.log(max(r[n], 1e-9)) for r in part) / len(part)) for n in ("seconds", "mean", "size")
+        }
+        print(f"{way}: {sum(r['done'] for r in part)} of {len(part)} done, geometric means", geometric)
+    return int(not all(r["done"] for r in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
