@@ -15,16 +15,12 @@ from .errors import (
     MeshWarning,
     MissingDependencyError,
 )
-from .files import improve_files
 from .genealogy import VertexMap
-from .io import held, read, write
-from .manifest import FileResult
 from .mesh import MeshBatch, join
 from .paths import largest_step
 from .pipeline import ImproveOptions, Progress, Report, Step, improve
 from .quality import Quality, minimum_angle, quality
 from .remeshing import RemeshInfo, RemeshOptions, remesh
-from .series import Series, read_series, write_series
 from .sizing import SizeConformity, size_conformity, size_field
 from .smoothing import MoveInfo, SmoothOptions, smooth
 from .status import Status
@@ -35,9 +31,13 @@ from .warping import femwarp, relax
 if TYPE_CHECKING:
     from . import datasets, domains, losses, nn
     from .animation import animate
+    from .files import improve_files
+    from .io import held, read, write
+    from .manifest import FileResult
     from .page import report_page
     from .pyg import from_pyg, to_pyg
     from .pyvista_export import to_pyvista
+    from .series import Series, read_series, write_series
     from .storage import BatchFile, BatchWriter, load_batch, load_fields, save_batch
 
 # Loaded when first asked for: they import more than torch and numpy, or are of use to few.
@@ -48,6 +48,14 @@ _LAZY_NAMES = {
     "report_page": "page",
     "to_pyg": "pyg",
     "to_pyvista": "pyvista_export",
+    "improve_files": "files",
+    "FileResult": "manifest",
+    "held": "io",
+    "read": "io",
+    "write": "io",
+    "read_series": "series",
+    "Series": "series",
+    "write_series": "series",
     "BatchFile": "storage",
     "BatchWriter": "storage",
     "load_batch": "storage",
