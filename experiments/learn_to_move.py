@@ -2,7 +2,7 @@
 
 A bar-shaped hole is to be moved and turned in its rectangle; the motion is given as six numbers.
 The network says where every vertex goes but those of the rectangle, the hole's own included, and
-learns from meshes that `improve` made valid.  What it puts out is measured on meshes of domains it
+learns from meshes that the layer made valid.  What it puts out is measured on meshes of domains it
 has never seen.
 
     no guard       mean squared distance to the wanted points
@@ -56,8 +56,10 @@ class Task:
     def draw(cls, count: int, seed: int, triangles: int) -> Task:
         """`count` motions of random domains; the few that no valid mesh of these triangles fits are left out."""
         moved = tm.domains.generate(count, ["bar"], seed=seed, triangles=triangles, motions=4)
-        better, report = tm.improve(moved.deformed, tm.ImproveOptions(topology="keep"))
-        return cls.of(moved.undeformed.select(report.valid), better.select(report.valid).points)
+        layer = tm.nn.Untangle(moved.deformed, on_failure="keep")
+        points = layer(moved.deformed.points)
+        valid = layer.info.valid
+        return cls.of(moved.undeformed.select(valid), moved.deformed.with_points(points).select(valid).points)
 
     @classmethod
     def of(cls, mesh: tm.MeshBatch, wanted: Tensor) -> Task:

@@ -47,7 +47,6 @@ def test_a_folder_gets_mesh_files(tmp_path):
         (["x.h5", "--count", "3", "--family", "cube"], "cube"),
         (["x.h5", "--count", "0"], "--count"),
         (["nowhere/x.h5", "--count", "3"], "nowhere"),
-        (["x.h5", "--count", "1", "--family", "spiral", "--triangles", "100"], "ask for more triangles"),
     ],
 )
 def test_what_cannot_be_made_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys, arguments, message):
@@ -59,7 +58,7 @@ def test_what_cannot_be_made_is_told_and_leaves_nothing(tmp_path, monkeypatch, c
 
 def test_the_experiment_learns_three_ways(tmp_path):
     pytest.importorskip("matplotlib")
-    options = ["--steps", "6", "--meshes", "16", "--triangles", "200", "--batch", "2", "--out", str(tmp_path)]
+    options = ["--steps", "3", "--meshes", "8", "--triangles", "100", "--batch", "2", "--out", str(tmp_path)]
     done = subprocess.run([sys.executable, str(SCRIPT), *options], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "learn.json").read_text())

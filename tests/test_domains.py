@@ -110,7 +110,8 @@ def test_wrong_options_are_refused_when_given(options, message):
         domains.pairs(**options)
 
 
-def test_too_few_triangles_for_a_good_mesh_are_refused_by_name():
+def test_too_few_triangles_for_a_good_mesh_are_refused_by_name(monkeypatch):
+    monkeypatch.setattr(domains, "_DOMAIN_TRIES", 3)
     with pytest.raises(tm.ConvergenceError, match=r"domain 0 .*'spiral'.*100 triangles"):
         domains.generate(1, ["spiral"], triangles=100)
 
