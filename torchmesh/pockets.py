@@ -171,19 +171,17 @@ class _Work:
         self.moved = np.zeros(len(original), bool)
         self.rewritten = np.zeros(len(self.triangles), bool)
         self.pockets = 0
-        self._refresh()
 
     def region(self) -> np.ndarray:
         """(T,) what the boundary and the constrained edges close off."""
-        return self._components(np.ones(len(self.triangles), bool))
+        return self._components(np.arange(len(self.triangles)))
 
     def pieces(self, pocket: np.ndarray) -> list[np.ndarray]:
         """The rows of each part of `pocket` (T,) bool that is joined by edges and crosses no constrained one."""
-        self._refresh()
-        label = self._components(pocket)
         rows = np.flatnonzero(pocket)
-        order = np.argsort(label[rows], kind="stable")
-        cuts = np.flatnonzero(np.diff(label[rows][order])) + 1
+        label = self._components(rows)
+        order = np.argsort(label, kind="stable")
+        cuts = np.flatnonzero(np.diff(label[order])) + 1
         return [part for part in np.split(rows[order], cuts) if len(part)]
 
     def rebuild(self, rows: np.ndarray) -> str:
@@ -191,11 +189,8 @@ class _Work:
         piece = self.triangles[rows]
         vertices, local = np.unique(piece, return_inverse=True)
         local = local.reshape(-1, 3)
-        h = (3 * rows[:, None] + np.arange(3)).ravel()
         ends = np.stack([local.ravel(), np.roll(local, -1, 1).ravel()], 1)
-        inside = np.zeros(len(self.triangles), bool)
-        inside[rows] = True
-        outer = (self.twin[h] < 0) | ~inside[self.twin[h] // 3]
+        outer = connectivity.twins(torch.from_numpy(local)).numpy() < 0
         wall = np.isin(self._keys(*vertices[ends].T), self.walls)
         built = _fill(
             points=self.points[vertices],
@@ -211,14 +206,15 @@ class _Work:
         if len(corners) != len(rows):
             return f"the piece has {len(rows)} triangles, and its rim and vertices ask for {len(corners)}"
         # A chord of the rim may be an edge outside already, if the mesh there lies over itself.
-        keys = self._keys(*vertices[np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)].T)
-        place = np.searchsorted(self.edge_keys, keys)
-        for step in (0, 1):
-            at = np.minimum(place + step, len(self.edge_keys) - 1)
-            same = (self.edge_keys[at] == keys) & ~inside[self.edge_owner[at]]
-            taken = same & ~np.isin(keys, self._keys(*vertices[ends[outer]].T))
-            if taken.any():
-                return f"the edge {divmod(int(keys[taken][0]), len(self.points))} exists outside the pocket already"
+        on_rim = np.zeros(len(vertices), bool)
+        on_rim[ends[outer]] = True
+        sides = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)
+        chords = np.setdiff1d(
+            self._keys(*vertices[sides[on_rim[sides].all(1)]].T), self._keys(*vertices[ends[outer]].T)
+        )
+        taken = chords[np.isin(chords, self._keys_outside(rows, vertices[on_rim]))] if len(chords) else chords
+        if len(taken):
+            return f"the edge {divmod(int(taken[0]), len(self.points))} exists outside the pocket already"
         self.triangles[rows] = vertices[corners]
         self.points[vertices[moved]] = points[moved]
         self.moved[vertices[moved]] = True
@@ -241,21 +237,24 @@ class _Work:
     def _keys(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         return np.minimum(u, v) * len(self.points) + np.maximum(u, v)
 
-    def _refresh(self) -> None:
-        self.twin = connectivity.twins(torch.from_numpy(self.triangles)).numpy()
-        keys = self._keys(self.triangles.ravel(), np.roll(self.triangles, -1, 1).ravel())
-        order = np.argsort(keys, kind="stable")
-        self.edge_keys, self.edge_owner = keys[order], order // 3
-        self.wall = np.isin(keys, self.walls)
+    def _keys_outside(self, rows: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+        """The keys of the edges among `vertices` of the triangles other than `rows`."""
+        mark = np.zeros(len(self.points), bool)
+        mark[vertices] = True
+        a, b, c = (mark[np.ascontiguousarray(v)] for v in self.triangles.T)
+        near = (a & b) | (b & c) | (c & a)
+        near[rows] = False
+        there = self.triangles[near]
+        return self._keys(there.ravel(), np.roll(there, -1, 1).ravel())
 
-    def _components(self, pocket: np.ndarray) -> np.ndarray:
-        """(T,) labels of the parts of `pocket` and of its complement, walls between."""
-        inside = np.repeat(pocket, 3)
-        blocked = self.wall | (inside != inside[self.twin])
-        labels = connectivity.triangle_components(
-            torch.from_numpy(self.triangles), torch.from_numpy(self.twin), torch.from_numpy(blocked)
-        )
-        return labels.numpy()
+    def _components(self, rows: np.ndarray) -> np.ndarray:
+        """Labels of the parts of the triangles `rows` that are joined by edges, walls between."""
+        triangles = torch.from_numpy(self.triangles[rows])
+        ends = triangles.numpy()
+        wall = np.isin(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
+        return connectivity.triangle_components(
+            triangles, connectivity.twins(triangles), torch.from_numpy(wall)
+        ).numpy()
 
 
 def _fill(
@@ -332,8 +331,14 @@ def _scattered(points: np.ndarray, distance: float) -> np.ndarray:
 
 def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """`wanted` (T,) bool and the triangles of the same region that share a vertex with them."""
-    keys = triangles * (region.max() + 1) + region[:, None]
-    return np.asarray(np.isin(keys, keys[wanted]).any(1))
+    if region.any():
+        keys = triangles * (region.max() + 1) + region[:, None]
+        return np.asarray(np.isin(keys, keys[wanted]).any(1))
+    corners = [np.ascontiguousarray(v) for v in triangles.T]
+    mark = np.zeros(int(triangles.max(initial=0)) + 1, bool)
+    for v in corners:
+        mark[v[wanted]] = True
+    return np.asarray(mark[corners[0]] | mark[corners[1]] | mark[corners[2]])
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:
