@@ -13,6 +13,7 @@ the least of `--repeats` rounds, one thread each; of a peer only the optimiser's
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -81,20 +82,21 @@ def compare(case: domains.Case, repeats: int, patience: float, tired: set[str]) 
     return sorted(rows, key=lambda row: order.index(row.tool))
 
 
-def batch_row(cases: list[domains.Case], repeats: int) -> Row:
-    """torchmesh on all the cases as one batch, a mesh of it."""
+def batch_row(cases: list[domains.Case], repeats: int, workers: int) -> Row:
+    """torchmesh on all the cases as one batch, shared among `workers` processes, a mesh of it."""
     joined = tm.join([case.mesh for case in cases])
     better = joined
 
     def work() -> None:
         nonlocal better
-        better = tm.improve(joined)[0]
+        better = tm.improve(joined, tm.ImproveOptions(workers=workers))[0]
 
     seconds = measuring.interleaved({OURS: work}, repeats)[OURS] * (1 / len(cases))
     q = tm.quality(better)
     return Row(
         f"batch of {len(cases)}, a mesh", len(joined.triangles) // len(cases),
-        int(tm.quality(joined).inverted.sum()) // len(cases), OURS, seconds.wall, seconds.cpu,
+        int(tm.quality(joined).inverted.sum()) // len(cases), OURS if workers == 1 else f"{OURS}, {workers} processes",
+        seconds.wall, seconds.cpu,
         int(q.inverted.sum()), float(q.mean.mean()), float(q.max.max()),
     )  # fmt: skip
 
@@ -174,7 +176,8 @@ def main(
             if first_call and count == sizes[0]:
                 rows.append(first_call_row(case, cache / f"{case.name.split()[0]}-{count}-0.npz", repeats))
     if batch:
-        rows.append(batch_row(domains.variants(batch, sizes[0], cache), repeats))
+        cases = domains.variants(batch, sizes[0], cache)
+        rows += [batch_row(cases, repeats, workers) for workers in sorted({1, os.cpu_count() or 1})]
     # The same reason for the same tool is said once, under the table.
     measured = [row for row in rows if row.seconds is not None]
     left_out: dict[str, list[str]] = {}

@@ -49,11 +49,17 @@ class Stopwatch:
     """`with Stopwatch() as watch: ...` leaves `watch.seconds`."""
 
     def __enter__(self) -> Stopwatch:
-        self._wall, self._cpu = time.perf_counter(), time.process_time()
+        self._wall, self._cpu = time.perf_counter(), self._processor_time()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.seconds = Seconds(time.perf_counter() - self._wall, time.process_time() - self._cpu)
+        self.seconds = Seconds(time.perf_counter() - self._wall, self._processor_time() - self._cpu)
+
+    @staticmethod
+    def _processor_time() -> float:
+        """Of this process and of its children that have ended."""
+        times = os.times()
+        return times.user + times.system + times.children_user + times.children_system
 
 
 def interleaved(works: Mapping[str, Callable[[], Seconds | None]], repeats: int) -> dict[str, Seconds]:
