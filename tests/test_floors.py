@@ -32,7 +32,7 @@ FLOORS = [
     ["untangling", "remeshing", "certificate"],
     ["relocation"],
     ["report"],
-    ["losses"],
+    ["losses", "excerpts"],
     # 4
     ["formats_gmsh", "formats_text"],
     ["formats_gmsh_write"],

@@ -22,6 +22,7 @@ from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
+from .excerpts import improve_by_excerpts
 from .mesh import MeshBatch, corners_of, join, put, put_twins, select_twins, touching
 from .pockets import untangle_batch_by_pockets
 from .quality import quality
@@ -59,6 +60,9 @@ class ImproveOptions:
                       no use, and refused, once edges have flipped since
     boundary          "fixed": boundary and constrained edges stay; "slide": once the mesh is valid, their
                       vertices move along the given curves, corners excepted (`SmoothOptions.boundary`)
+    excerpts          a mesh of more than 20,000 triangles that is tangled in a small part and excellent elsewhere is
+                      worked on round the tangle only, if that does; the rest keeps its bits.  Not with sizes,
+                      targets, reference, sliding or topology "full".  False: it is worked on as a whole
     workers           processes that share a large batch, on Linux, under topology "keep" or "flip"; None: as
                       many as torch has threads (`torch.set_num_threads`, OMP_NUM_THREADS); 1: this one only
     """
@@ -74,6 +78,7 @@ class ImproveOptions:
     boundary: Literal["fixed", "slide"] = "fixed"
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
     reference: MeshBatch | None = None
+    excerpts: bool = True
     workers: int | None = None
 
     def __post_init__(self) -> None:
@@ -104,6 +109,12 @@ class ImproveOptions:
         """Do these options mean the same for each mesh of a batch, with no tensor over its vertices in them?"""
         shared = isinstance(self.remesh.sizes, Tensor) or self.smooth.targets is not None or self.reference is not None
         return self.topology != "full" and not shared
+
+    @property
+    def local(self) -> bool:
+        """May a large mesh that is good but for a small tangle be worked on round the tangle only?"""
+        usual = self.method == "default" and self.separable and not self.slides
+        return self.excerpts and usual and self.remesh.sizes == "boundary"
 
     @classmethod
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
@@ -185,6 +196,18 @@ def _improve_in_shards(
 
 
 def _improve(
+    batch: MeshBatch,
+    options: ImproveOptions,
+    progress: Callable[[Progress], None] | None = None,
+    observe: Callable[[str, MeshBatch], None] | None = None,
+    hold: Tensor | None = None,
+) -> tuple[MeshBatch, Report]:
+    if options.local:
+        return improve_by_excerpts(batch, lambda part, watch: _improve_whole(part, options, progress, watch), observe)
+    return _improve_whole(batch, options, progress, observe, hold)
+
+
+def _improve_whole(
     batch: MeshBatch,
     options: ImproveOptions,
     progress: Callable[[Progress], None] | None = None,
