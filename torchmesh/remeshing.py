@@ -28,8 +28,10 @@ from .splitting import split_rounds, worst_after
 # A mesh is done when fewer than one edge is split or collapsed for so many triangles.
 _FEW = 500
 # Above this mean inverse mean ratio a mesh may be stuck in rows, and is shaken up: its edges shorter
-# and longer than these parts of their size go, once.
-_ROUGH, _SHAKE = 1.06, (0.9, 1.3)
+# and longer than these parts of their size go, once for each pair.
+_ROUGH, _SHAKES = 1.025, ((0.8, 1.4), (1.0, 1.2))
+# A lower mean is worth a maximum that is this much higher: it hangs on one triangle.
+_SLACK = 1.02
 
 
 @dataclass(frozen=True)
@@ -115,16 +117,21 @@ class Remeshing:
         self.size = self._sizes(going)
         self._rounds(going)
         # Rows of right-angled triangles fit their sizes, and no single split or collapse betters them.
-        before = quality(self.batch).mean
-        rough = going & (before > _ROUGH) & (self.rounds > 0)
-        if bool(rough.any()):
+        ceiling = self.options.smooth.ceiling or 1.0
+        for shake in _SHAKES:
+            before = quality(self.batch)
+            rough = going & (before.mean > _ROUGH) & (self.rounds > 0)
+            if not bool(rough.any()):
+                break
             ordered = self._state()
             self.longest = 2 * self.options.split_above
-            self._cut(rough, *_SHAKE)
+            self._cut(rough, *shake)
             self.longest = self.options.split_above
             self._settle(rough)
             self._rounds(rough)
-            self._restore(rough & (quality(self.batch).mean >= before), ordered)
+            after = quality(self.batch)
+            worse = (after.mean >= before.mean) | (after.max > before.max.clamp_min(ceiling))
+            self._restore(rough & worse, ordered)
         self._polish(going)
 
     def _rounds(self, going: Tensor) -> None:
@@ -142,25 +149,27 @@ class Remeshing:
             going = going & ~few & ~(stuck & (turn > 0))
             before = now
 
-    def _state(self) -> tuple[MeshBatch, Tensor, Tensor]:
+    def _state(self) -> tuple[MeshBatch, Tensor, Tensor, Tensor, Tensor]:
         assert self.size is not None
-        return self.batch, self.size, self.names.of
+        return self.batch, self.size, self.names.of, self.splits.clone(), self.collapses.clone()
 
-    def _restore(self, at: Tensor, state: tuple[MeshBatch, Tensor, Tensor]) -> None:
-        """Take the meshes `at` (B,) bool back to what they were."""
+    def _restore(self, at: Tensor, state: tuple[MeshBatch, Tensor, Tensor, Tensor, Tensor]) -> None:
+        """Take the meshes `at` (B,) bool back to what they were, and what brought them there out of the counts."""
         if bool(at.any()):
-            batch, size, names = state
+            batch, size, names, splits, collapses = state
             rows, now = spread(at, batch.point_offsets), self._state()
             self.batch, self.size, self.names.of = exchange(
                 now[0], at, batch.select(at), [(now[1], size[rows]), (now[2], names[rows])]
             )
+            self.splits = torch.where(at, splits, self.splits)
+            self.collapses = torch.where(at, collapses, self.collapses)
 
     def improve(self, going: Tensor) -> Tensor:
         """Remesh the meshes `going` (B,) bool and take back what made the shapes worse; those kept (B,) bool.
 
-        The mean inverse mean ratio may not grow, nor the maximum, unless it stays below the ceiling of the
-        smoothing.  With sizes that the user asked for, it is enough if no triangle is worse than the worst
-        there was, or than `options.worst`.
+        The mean inverse mean ratio may not grow, nor the maximum by more than a hair, unless it stays below
+        the ceiling of the smoothing.  With sizes that the user asked for, it is enough if no triangle is worse
+        than the worst there was, or than `options.worst`.
         """
         before = quality(self.batch)
         self.size = self._sizes(going)
@@ -169,7 +178,7 @@ class Remeshing:
         after = quality(self.batch)
         if isinstance(self.options.sizes, str) and self.options.sizes == "boundary":
             ceiling = self.options.smooth.ceiling or 1.0
-            good = (after.mean <= before.mean) & (after.max <= before.max.clamp_min(ceiling))
+            good = (after.mean <= before.mean) & (after.max <= (_SLACK * before.max).clamp_min(ceiling))
         else:
             good = after.max <= before.max.clamp_min(self.options.worst)
         good &= after.inverted <= before.inverted
