@@ -44,12 +44,14 @@ WAYS: dict[str, Way] = {
 }
 
 
-def cases(sizes: list[int], gradings: list[float], seeds: int) -> Iterator[tuple[str, float, int, float, int]]:
+def cases(
+    families: list[str], sizes: list[int], gradings: list[float], seeds: int
+) -> Iterator[tuple[str, float, int, float, int]]:
     for triangles in sizes:
         for grading in gradings:
             for seed in range(seeds):
-                for name, family in FAMILIES.items():
-                    for value in family.values:
+                for name in families:
+                    for value in FAMILIES[name].values:
                         yield name, value, triangles, grading, seed
 
 
@@ -110,6 +112,7 @@ def main() -> int:
     parser.add_argument("--triangles", type=int, nargs="+", default=[600])
     parser.add_argument("--grading", type=float, nargs="+", default=[0.3])
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--families", nargs="+", choices=list(FAMILIES), default=list(FAMILIES))
     parser.add_argument("--ways", nargs="+", choices=list(WAYS), default=list(WAYS))
     parser.add_argument("--cache", type=Path, default=Path("out/cache"))
     parser.add_argument("--out", type=Path, default=Path("out/never"))
@@ -121,7 +124,7 @@ def main() -> int:
     keys = ("family", "value", "triangles", "grading", "seed")
     done = {(*(r[k] for k in keys), r["way"]) for r in rows}
     with record.open("a") as out:
-        for key in cases(arguments.triangles, arguments.grading, arguments.seeds):
+        for key in cases(arguments.families, arguments.triangles, arguments.grading, arguments.seeds):
             left = [way for way in arguments.ways if (*key, way) not in done]
             if not left:
                 continue

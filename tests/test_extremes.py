@@ -27,7 +27,7 @@ TANGLES = {
 
 @pytest.mark.parametrize("topology", ["flip", "keep"])
 @pytest.mark.parametrize("name", list(TANGLES))
-@pytest.mark.parametrize("scale", [1e-147, 1e-75, 1e75, 1e148])
+@pytest.mark.parametrize("scale", [1e-147, 1e148])
 def test_tiny_and_huge(name, scale, topology):
     # At 1e-147 the triangles' areas are about 1e-296.
     mesh = TANGLES[name]()
