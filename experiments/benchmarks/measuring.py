@@ -59,7 +59,7 @@ class Stopwatch:
     def _processor_time() -> float:
         """Of this process and of its children that have ended."""
         times = os.times()
-        return times.user + times.system + times.children_user + times.children_system
+        return time.process_time() + times.children_user + times.children_system
 
 
 def interleaved(works: Mapping[str, Callable[[], Seconds | None]], repeats: int) -> dict[str, Seconds]:
