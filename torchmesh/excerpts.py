@@ -42,7 +42,7 @@ _SHARE = 0.1
 # 0.7 sqrt(n) edges across, and needs that room again to come to good shapes.
 _RINGS, _RINGS_BY_WIDTH = 8, 0.7
 
-# Cells along the mesh at most when looking for what is near the damage.
+# Cells along the mesh at most to look for what is near the damage.
 _CELLS = 1000
 
 Observe = Callable[[str, MeshBatch], None]
@@ -225,10 +225,14 @@ def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor) -> Neighbou
     points  (V, 2), by which what cannot be near is left out of the search; the result does not depend on them
     """
     rings = _RINGS + round(_RINGS_BY_WIDTH * len(damage) ** 0.5)
+    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
+    low, high = zip(*([float(v) for v in c.aminmax()] for c in (x, y)), strict=True)
+    extent = max(high[0] - low[0], high[1] - low[1])
     longest = torch.stack(squared_edge_lengths(corners(points, triangles[damage])), 1).amax(1).sqrt()
-    reach = rings * float(longest.median())
+    # All the damage may be in one point.
+    reach = max(rings * float(longest.median()), extent / _CELLS)
     while True:
-        near = _nearby(points, triangles[damage], reach)
+        near = _nearby(x - low[0], y - low[1], extent, triangles[damage], reach)
         if (place := _grown(triangles, damage, rings, near)) is not None:
             return place
         reach *= 2
@@ -268,23 +272,19 @@ def _corners(triangles: Tensor, these: Tensor, count: int) -> Tensor:
     return mask.index_fill_(0, triangles[these].reshape(-1), True)
 
 
-def _nearby(points: Tensor, damaged: Tensor, reach: float) -> Tensor:
+def _nearby(x: Tensor, y: Tensor, extent: float, damaged: Tensor, reach: float) -> Tensor:
     """(V,) bool: at least the vertices within `reach` of a corner of the `damaged` (D, 3), and not many more.
 
-    Those in the same cell of a square grid, or in one of the eight round it.
+    Those in the same cell of a square grid, or in one of the eight round it; x and y (V,) from 0 to `extent`.
     """
-    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
-    (x_low, x_high), (y_low, y_high) = ([float(v) for v in c.aminmax()] for c in (x, y))
-    extent = max(x_high - x_low, y_high - y_low)
     if not reach < extent:
         return torch.ones_like(x, dtype=torch.bool)
-    per_length = 1 / max(reach, extent / _CELLS)
-    # One more cell on every side, so that each has eight round it.
-    columns, lines = (int((high - low) * per_length) + 4 for low, high in ((x_low, x_high), (y_low, y_high)))
-    cell = ((y - y_low) * per_length + 1).to(torch.int32) * columns + ((x - x_low) * per_length + 1).to(torch.int32)
-    marked = torch.zeros(lines * columns, dtype=torch.bool, device=x.device)
+    # With one more cell on every side, so that each has eight round it.
+    cells = int(extent / reach) + 4
+    cell = (y / reach + 1).to(torch.int32) * cells + (x / reach + 1).to(torch.int32)
+    marked = torch.zeros(cells * cells, dtype=torch.bool, device=x.device)
     marked[cell[damaged.reshape(-1)].long()] = True
-    marked = marked.reshape(lines, columns)
+    marked = marked.reshape(cells, cells)
     wide = marked | marked.roll(1, 0) | marked.roll(-1, 0)
     wide = wide | wide.roll(1, 1) | wide.roll(-1, 1)
     return wide.reshape(-1).index_select(0, cell)
