@@ -382,23 +382,33 @@ class _Job:
         """Splits and collapses in pairs, so that every row stays, where shapes are poor or sizes were asked for."""
         # Where vertices may also come and go, that is the way to sizes.
         asked = RemeshOptions() if self.options.topology == "full" else self.options.remesh
-        self._recut("relocate", crowded(self.quality, asked), Relocation)
+        at = crowded(self.quality, asked)
+        if bool(at.any()):
+            with self._stage("relocate", at) as done:
+                work = Relocation(self.batch.select(at), self._sized(at))
+                work.improve(torch.ones_like(at[at]))
+                self._twin = None
+                done(work.batch, flips=work.flips)
 
     def remesh(self) -> None:
         """Splits and collapses where they better the valid meshes."""
-        self.remeshed = self._recut("remesh", self.quality.inverted == 0, Remeshing).info()
-
-    def _recut(self, stage: str, at: Tensor, kind: type[Remeshing]) -> Remeshing:
-        options, reference = self.options.remesh, self.options.reference
-        if reference is not None and isinstance(options.sizes, str) and options.sizes == "keep":
-            options = replace(options, sizes=size_field(reference, "keep"))
-        work = kind(self.batch, options)
+        at = self.quality.inverted == 0
+        work = Remeshing(self.batch, self._sized(torch.ones_like(at)))
         if bool(at.any()):
-            with self._stage(stage, at) as done:
+            with self._stage("remesh", at) as done:
                 work.improve(at)
                 self._twin = None
                 done(work.batch, flips=work.flips[at])
-        return work
+        self.remeshed = work.info()
+
+    def _sized(self, at: Tensor) -> RemeshOptions:
+        """What was asked of remeshing, with the sizes at the vertices of the meshes `at` (B,) bool."""
+        options, reference = self.options.remesh, self.options.reference
+        if reference is not None and isinstance(options.sizes, str) and options.sizes == "keep":
+            options = replace(options, sizes=size_field(reference, "keep"))
+        if isinstance(options.sizes, Tensor):
+            options = replace(options, sizes=options.sizes[spread(at, self.given.point_offsets)])
+        return options
 
     def report(self) -> Report:
         """The certificate and the log."""

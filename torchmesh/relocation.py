@@ -36,6 +36,9 @@ def crowded(q: Quality, options: RemeshOptions) -> Tensor:
 class Relocation(Remeshing):
     """`Remeshing` that keeps every row."""
 
+    rough = 1.06
+    shakes = ((0.9, 1.3),)
+
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
         # A boundary vertex more would be a vertex more.
         super().__init__(batch, dataclasses.replace(options, split_boundary=False))

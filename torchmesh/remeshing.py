@@ -27,9 +27,6 @@ from .splitting import split_rounds, worst_after
 
 # A mesh is done when fewer than one edge is split or collapsed for so many triangles.
 _FEW = 500
-# Above this mean inverse mean ratio a mesh may be stuck in rows, and is shaken up: its edges shorter
-# and longer than these parts of their size go, once for each pair.
-_ROUGH, _SHAKES = 1.025, ((0.8, 1.4), (1.0, 1.2))
 # A lower mean is worth a maximum that is this much higher: it hangs on one triangle.
 _SLACK = 1.02
 
@@ -101,7 +98,14 @@ def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[Mesh
 
 
 class Remeshing:
-    """A batch on its way, with the names of its vertices and the sizes wanted at them."""
+    """A batch on its way, with the names of its vertices and the sizes wanted at them.
+
+    Above the mean inverse mean ratio `rough` a mesh may be stuck in rows, and is shaken up: its edges
+    shorter and longer than these parts of their size go, once for each pair of `shakes`.
+    """
+
+    rough = 1.025
+    shakes: tuple[tuple[float, float], ...] = ((0.8, 1.4), (1.0, 1.2))
 
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
         self.batch, self.options = batch, options
@@ -118,9 +122,9 @@ class Remeshing:
         self._rounds(going)
         # Rows of right-angled triangles fit their sizes, and no single split or collapse betters them.
         ceiling = self.options.smooth.ceiling or 1.0
-        for shake in _SHAKES:
+        for shake in self.shakes:
             before = quality(self.batch)
-            rough = going & (before.mean > _ROUGH) & (self.rounds > 0)
+            rough = going & (before.mean > self.rough) & (self.rounds > 0)
             if not bool(rough.any()):
                 break
             ordered = self._state()
