@@ -65,6 +65,10 @@ class Relocation(Remeshing):
         self.collapses += changed // 2
         return changed
 
+    def _renew(self, going: Tensor, before: MeshBatch, after: MeshBatch) -> None:
+        # Vertices take their sizes along: to ask for them anew would cost more than it betters.
+        self.batch = put(self.batch, going, after)
+
     def _scaled(self, part: MeshBatch, size: Tensor) -> Tensor:
         """The sizes times what makes the number of equilateral triangles that fill each mesh the one there is."""
         per_triangle = size[part.triangles].mean(1)
