@@ -81,21 +81,22 @@ def draw(rows: list[dict], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(3, len(FAMILIES), figsize=(4 * len(FAMILIES), 9), layout="constrained")
-    styles = ["o-", "D-", "s--", "^:", "v:"]
+    # Okabe & Ito's colours, told apart with any colour vision; shapes and lines tell them apart in print.
+    looks = [("o-", "#0072B2"), ("D-", "#56B4E9"), ("s--", "#009E73"), ("^:", "#D55E00"), ("v:", "#CC79A7")]
     for column, (name, family) in enumerate(FAMILIES.items()):
         places = range(len(family.values))
-        for style, way in zip(styles, WAYS, strict=True):
+        for (style, colour), way in zip(looks, WAYS, strict=True):
             groups = [
                 [r for r in rows if r["family"] == name and r["way"] == way and r["value"] == v] for v in family.values
             ]
             rate = [sum(r["valid"] for r in g) / len(g) if g else float("nan") for g in groups]
-            axes[0, column].plot(places, rate, style, label=way, alpha=0.8)
+            axes[0, column].plot(places, rate, style, color=colour, label=way, alpha=0.8)
             for axis, key in ((axes[1, column], "mean"), (axes[2, column], "seconds")):
                 means = []
                 for group in groups:
                     known = [r[key] for r in group if r.get(key) is not None and r["valid"]]
                     means.append(sum(known) / len(known) if known else float("nan"))
-                axis.plot(places, means, style, alpha=0.8)
+                axis.plot(places, means, style, color=colour, alpha=0.8)
         axes[0, column].set(title=name, ylim=(-0.05, 1.05), ylabel="part that ends valid")
         axes[1, column].set(ylabel="IMR average, of the valid", yscale="log")
         axes[2, column].set(ylabel="seconds, of the valid", yscale="log", xlabel=family.unit)
