@@ -98,7 +98,7 @@ def plot(rows: list[dict], path: Path, title: str) -> None:
         if row["engine"] == "threads":
             left.plot(row["budget"], row["meshes a second"], "kx")
             left.annotate(f"one process, {row['threads']} threads", (row["budget"], row["meshes a second"]),
-                          textcoords="offset points", xytext=(0, -12), ha="center", fontsize=8)  # fmt: skip
+                          textcoords="offset points", xytext=(0, -12), ha="right", fontsize=8)  # fmt: skip
     left.set(xscale="log", xlabel="batch budget (vertices)", ylabel="throughput (meshes/s)")
     left.set_title("against the batch budget")
     left.legend()

@@ -116,6 +116,14 @@ def test_too_few_triangles_for_a_good_mesh_are_refused_by_name(monkeypatch):
         domains.generate(1, ["spiral"], triangles=100)
 
 
+def test_the_stream_goes_on_where_narrow_parts_need_more_triangles(monkeypatch):
+    """Spirals cannot be had with 100 triangles: after the tries as asked they get more, domain by domain."""
+    monkeypatch.setattr(domains, "_DOMAIN_TRIES_AS_ASKED", 0)
+    moved = domains.generate(1, ["spiral"], triangles=100, motions=1)
+    assert moved.undeformed.triangles.shape[0] > 150
+    assert tm.quality(moved.undeformed).mean.max() <= domains.MAX_MEAN
+
+
 def test_the_count_must_be_positive():
     with pytest.raises(ValueError, match="count"):
         domains.generate(0)

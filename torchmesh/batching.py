@@ -148,8 +148,10 @@ def _write(opened: _Open, meshes: list[MeshBatch], rows: slice, before: Quality,
     many = f"mesh {failed[0]} of {len(meshes)}: " if failed and len(meshes) > 1 else ""
     facts["message"] = many + report.messages[shown]
     target = Path(job.output)
-    folder = Path(job.staging) / f"{os.getpid()}"
+    # Process ids alone are not unique: machines of a cluster may share the folder.
+    folder = Path(job.staging) / f"{socket.gethostname()}-{os.getpid()}"
     try:
+        shutil.rmtree(folder, ignore_errors=True)  # half a file, perhaps, of one that was killed
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", MeshWarning)
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -147,7 +147,6 @@ class Tally:
     def __init__(self, total: int, kept: int, size: int) -> None:
         self.total, self.kept, self.size = total, kept, size
         self.done = self.tangled = self.errors = self.inverted_before = self.inverted_after = self.bytes = 0
-        self._started: float | None = None
 
     def add(self, result: "FileResult", size: int) -> None:
         self.done += 1
