@@ -66,6 +66,9 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
     """
     if topology not in ("keep", "flip"):
         raise ValueError(f"topology must be 'keep' or 'flip', not {topology!r}")
+    # All meshes at once as pieces of one; only where something is found is each looked at alone.
+    if len(batch) > 1 and not _of_one(batch, topology == "keep", most):
+        return []
     problems = []
     for b, mesh in enumerate(batch.split()):
         told: dict[ProblemKind, int] = {}

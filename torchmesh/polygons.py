@@ -46,7 +46,8 @@ def crossing_pairs(
         return np.zeros((0, 2), np.int64)
     ends = points[segments]
     low, high = ends.min(1), ends.max(1)
-    boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+    left, right = (low, high) if group is None else _side_by_side(low, high, group)
+    boxes = shapely.box(left[:, 0], left[:, 1], right[:, 0], right[:, 1])
     i, j = shapely.STRtree(boxes).query(boxes)
     near = i < j
     if group is not None:
@@ -62,6 +63,19 @@ def crossing_pairs(
         if enough is not None and sum(map(len, found)) >= enough:
             break
     return np.concatenate(found) if found else pairs
+
+
+def _side_by_side(low: np.ndarray, high: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The boxes from `low` to `high` (S, 2), each group shrunk to a square of its own; a hair larger, for rounding."""
+    _, label = np.unique(group, return_inverse=True)
+    corner = np.full((int(label.max()) + 1, 2), np.inf)
+    far = -corner
+    np.minimum.at(corner, label, low)
+    np.maximum.at(far, label, high)
+    extent = (far - corner).max(1)
+    extent = np.where(extent > 0, extent, 1.0)[label, None]
+    shift = np.stack([3.0 * label, np.zeros(len(label))], 1)
+    return (low - corner[label]) / extent + shift - 1e-9, (high - corner[label]) / extent + shift + 1e-9
 
 
 def _meet(points: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
