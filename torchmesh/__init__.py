@@ -17,10 +17,12 @@ from .errors import (
 )
 from .genealogy import VertexMap
 from .mesh import MeshBatch, join
+from .options import ImproveOptions
 from .paths import largest_step
-from .pipeline import ImproveOptions, Progress, Report, Step, improve
+from .pipeline import improve
 from .quality import Quality, minimum_angle, quality
 from .remeshing import RemeshInfo, RemeshOptions, remesh
+from .report import Progress, Report, Step
 from .sizing import SizeConformity, size_conformity, size_field
 from .smoothing import MoveInfo, SmoothOptions, smooth
 from .status import Status

@@ -26,8 +26,10 @@ from . import io
 from .errors import MeshError, MeshWarning
 from .manifest import FileResult
 from .mesh import MeshBatch, join
-from .pipeline import ImproveOptions, Report, improve
+from .options import ImproveOptions
+from .pipeline import improve
 from .quality import Quality, quality
+from .report import Report
 from .series import Series, read_series, write_series
 from .status import Status
 

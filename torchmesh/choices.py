@@ -9,7 +9,7 @@ import typer
 from .motions import UsageError
 
 if TYPE_CHECKING:
-    from .pipeline import ImproveOptions
+    from .options import ImproveOptions
 
 
 class Method(str, Enum):
@@ -63,7 +63,7 @@ def improve_options(
     method: Method, topology: Topology, beta: float | None, boundary: Boundary = Boundary.fixed
 ) -> "ImproveOptions":
     """The options of `improve` that a command line asks for; raises UsageError."""
-    from .pipeline import ImproveOptions
+    from .options import ImproveOptions
 
     if beta is not None and method is not Method.paper:
         raise UsageError("--beta needs --method paper: the default method has no absolute beta")

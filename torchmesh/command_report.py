@@ -25,7 +25,8 @@ from .motions import UsageError
 
 if TYPE_CHECKING:
     from .mesh import MeshBatch
-    from .pipeline import ImproveOptions, Report
+    from .options import ImproveOptions
+    from .report import Report
 
 REPORT_EXAMPLES = (
     "torchmesh report tangled.vtu better.vtu report.html",

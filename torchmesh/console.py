@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from .mesh import MeshBatch
-    from .pipeline import Progress
     from .quality import Quality
+    from .report import Progress
 
 
 @functools.cache

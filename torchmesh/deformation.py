@@ -19,9 +19,11 @@ from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
 from .errors import ConvergenceError, InvalidMeshError
 from .mesh import MeshBatch, put, triangle_mesh
+from .options import ImproveOptions
 from .paths import BoundaryPath, first_flat
-from .pipeline import ImproveOptions, Progress, Report, improve
+from .pipeline import improve
 from .quality import upright
+from .report import Progress, Report
 from .segments import segment_any, segment_min, spread
 from .smoothing import SmoothOptions, smooth
 from .status import Status

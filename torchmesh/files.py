@@ -28,7 +28,7 @@ from .batching import Job, fingerprint
 from .errors import MeshIOError, MeshWarning, MissingDependencyError
 from .formats import FORMATS, format_of
 from .manifest import FileResult
-from .pipeline import ImproveOptions
+from .options import ImproveOptions
 from .workers import Crew, LocalWorker, RayWorker, Worker, ray_cluster
 
 # Vertices of a batch: meshes of 2,200 triangles cost 164 ms alone, 44 ms by nine, 37 ms by 30 and by 60;

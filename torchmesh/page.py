@@ -23,10 +23,10 @@ from .charts import histogram
 from .errors import InvalidMeshError
 from .mesh import MeshBatch
 from .page_data import CODES_A_DOUBLING, INFINITE_CODE, encode
-from .pipeline import Report, Step
 from .plotting import replacing, short, signed_minimum_angles
 from .quality import Quality
 from .quality import quality as measure
+from .report import Report, Step
 
 # ColorBrewer's YlGnBu of nine classes (C. A. Brewer), the scale of the pictures that matplotlib draws.
 PALETTE = ("#ffffd9", "#edf8b1", "#c7e9b4", "#7fcdbb", "#41b6c4", "#1d91c0", "#225ea8", "#253494", "#081d58")

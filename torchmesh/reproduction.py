@@ -27,9 +27,11 @@ from .domains import moving
 from .errors import MeshError, MeshIOError
 from .io import write
 from .mesh import MeshBatch
-from .pipeline import ImproveOptions, Report, improve
+from .options import ImproveOptions
+from .pipeline import improve
 from .plotting import Box, before_after, check_target, replacing, require_matplotlib, short, with_close_up
 from .quality import quality
+from .report import Report
 from .smoothing import SmoothOptions
 
 SOURCE = (

@@ -27,7 +27,7 @@ from typing import Any, BinaryIO, Protocol
 from .batching import Job, improve_jobs
 from .errors import MeshError, MissingDependencyError
 from .manifest import FileResult
-from .pipeline import ImproveOptions
+from .options import ImproveOptions
 
 # Bytes of a file for each vertex, until files of its kind have been read.
 _BYTES_PER_VERTEX = 50
