@@ -217,7 +217,7 @@ def _jobs(paths: Paths, out: Path, suffix: str | None) -> list[Job]:
     """A job for every file that the paths name, sorted by name; raises MeshIOError."""
     if suffix is not None:
         suffix = suffix if suffix.startswith(".") else f".{suffix}"
-        format_of(Path(f"mesh{suffix}"))
+        format_of(Path(f"*{suffix}"))
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     inside = os.path.abspath(out)
     files: dict[str, str] = {}  # absolute path to the path as given

@@ -138,6 +138,8 @@ def _load(path: Path, form: str) -> Document:
         return Document(mesh, form, None, rest)
     binary = None
     if form == "vtu":
+        if b"</VTKFile>" not in _bytes(path)[-500:]:
+            raise ValueError("it does not end with </VTKFile>: truncated")
         binary = b'format="ascii"' not in head
     elif form == "ply":
         if b"end_header" not in _bytes(path):
