@@ -105,7 +105,7 @@ class Remeshing:
     """
 
     rough = 1.025
-    shakes: tuple[tuple[float, float], ...] = ((0.8, 1.4), (1.0, 1.2))
+    shakes: tuple[tuple[float, float], ...] = ((0.75, 1.5), (0.8, 1.4), (1.0, 1.2))
 
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
         self.batch, self.options = batch, options
