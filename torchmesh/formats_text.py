@@ -53,7 +53,9 @@ def _su2_of(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
         elif key == "NMARK":
             markers = int(value)
         elif key == "MARKER_TAG":
-            name, found = value.split()[0], found + 1
+            name, found = value, found + 1
+            if not name:
+                raise ValueError("a MARKER_TAG has no name")
             if name not in names:
                 number = int(name) if re.fullmatch(r"\d+", name) and int(name) > 0 else 1
                 while number in names.values():
