@@ -658,11 +658,11 @@ FFD_NBOX= 1
 """
 
 
-def test_su2_names_of_several_words_stay_whole_and_none_is_an_error(tmp_path):
+def test_su2_names_of_several_words_become_one_word_and_none_is_an_error(tmp_path):
     (tmp_path / "in.su2").write_text(SU2.replace("MARKER_TAG= wall", "MARKER_TAG=  inlet pipe % left"))
     mesh = read(tmp_path / "in.su2")
     write(tmp_path / "out.su2", mesh, like=tmp_path / "in.su2")
-    assert "MARKER_TAG= inlet pipe\nMARKER_ELEMS= 2\n" in (tmp_path / "out.su2").read_text()
+    assert "MARKER_TAG= inlet_pipe\nMARKER_ELEMS= 2\n" in (tmp_path / "out.su2").read_text()
     (tmp_path / "in.su2").write_text(SU2.replace("MARKER_TAG= wall", "MARKER_TAG= "))
     with pytest.raises(MeshIOError, match="MARKER_TAG has no name"):
         read(tmp_path / "in.su2")
