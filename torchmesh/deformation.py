@@ -17,8 +17,8 @@ from torch import Tensor
 
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
-from .errors import ConvergenceError, InvalidMeshError
-from .mesh import MeshBatch, put, triangle_mesh
+from .errors import ConvergenceError
+from .mesh import MeshBatch, put
 from .options import ImproveOptions
 from .paths import BoundaryPath, first_flat
 from .pipeline import improve
@@ -27,7 +27,7 @@ from .report import Progress, Report
 from .segments import segment_any, segment_min, spread
 from .smoothing import SmoothOptions, smooth
 from .status import Status
-from .warping import femwarp
+from .warping import boundary_goal, femwarp
 
 
 @dataclass(frozen=True)
@@ -153,29 +153,11 @@ def deform(
     options = options or DeformOptions()
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
-    target = _checked(batch, new_points)
+    target = boundary_goal(batch, new_points, "deform")
     way = _Way(batch, target, 1.0 if steps == "auto" else 1.0 / steps, options, progress)
     while way.step():
         pass
     return way.arrive()
-
-
-def _checked(batch: MeshBatch, new_points: Tensor) -> Tensor:
-    target = torch.as_tensor(new_points).to(batch.points)
-    if target.shape != batch.points.shape:
-        raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
-    bad = batch.fixed & ~target.isfinite().all(1)
-    if bool(bad.any()):
-        row = int(bad.nonzero()[0, 0])
-        raise InvalidMeshError(f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite place")
-    fallen = ~upright(batch)
-    if bool(fallen.any()):
-        row = int(fallen.nonzero()[0, 0])
-        raise InvalidMeshError(
-            f"mesh {int(triangle_mesh(batch)[row])}: triangles row {row} is inverted; "
-            "deform starts from a valid mesh, so improve it first"
-        )
-    return torch.where(batch.fixed[:, None], target, batch.points)
 
 
 class _Way:

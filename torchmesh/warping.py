@@ -21,6 +21,13 @@ def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
     invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
     undeformed mesh is inverted, or new positions are not finite or of another shape.
     """
+    target = boundary_goal(batch, new_points, "femwarp")
+    weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
+    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target, batch.point_offsets))
+
+
+def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
+    """(V, 2) the fixed vertices at `new_points`, the others where they are; InvalidMeshError as `what` says."""
     target = torch.as_tensor(new_points).to(batch.points)
     if target.shape != batch.points.shape:
         raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
@@ -33,11 +40,9 @@ def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
         row = int(fallen.nonzero()[0, 0])
         raise InvalidMeshError(
             f"mesh {int(triangle_mesh(batch)[row])}: triangles row {row} is inverted; "
-            "femwarp starts from a valid mesh, so improve it first"
+            f"{what} starts from a valid mesh, so improve it first"
         )
-    weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
-    target = torch.where(batch.fixed[:, None], target, batch.points)
-    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target, batch.point_offsets))
+    return torch.where(batch.fixed[:, None], target, batch.points)
 
 
 def relax(batch: MeshBatch) -> MeshBatch:
