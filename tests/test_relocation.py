@@ -86,6 +86,16 @@ def test_it_is_tried_where_shapes_are_poor_or_sizes_were_asked_for():
     assert crowded(tm.quality(batch), RemeshOptions(sizes="uniform")).tolist() == [True, True, False]
 
 
+def test_one_poor_triangle_of_a_large_mesh_is_not_worth_work_on_all_of_it():
+    ratio = torch.full((20_000,), 1.02, dtype=torch.float64)
+    ratio[7] = 2.5
+    for count, expected in ((20_000, False), (5_000, True)):
+        some = ratio[:count]
+        q = tm.Quality(some, some, some > 0, some.mean()[None], some.amax()[None], torch.zeros(1, dtype=torch.int64))
+        assert crowded(q, RemeshOptions(), torch.tensor([0, count])).tolist() == [expected]
+        assert crowded(q, RemeshOptions()).tolist() == [True]
+
+
 def test_improve_pulls_vertices_along_and_keeps_their_number():
     mesh = meshes.moved_hole(9.0)
     after, report = tm.improve(mesh)

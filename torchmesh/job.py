@@ -183,7 +183,7 @@ class Job:
         """Splits and collapses in pairs, so that every row stays, where shapes are poor or sizes were asked for."""
         # Where vertices may also come and go, that is the way to sizes.
         asked = RemeshOptions() if self.options.topology == "full" else self.options.remesh
-        at = crowded(self.quality, asked)
+        at = crowded(self.quality, asked, self.batch.triangle_offsets)
         if bool(at.any()):
             with self._stage("relocate", at) as done:
                 work = Relocation(self.batch.select(at), self._sized(at))
