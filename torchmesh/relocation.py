@@ -16,7 +16,7 @@ from .packing import centre_and_unit
 from .quality import Quality
 from .remeshing import Remeshing, RemeshOptions, editable
 from .segments import counts_from_offsets, segment_count, segment_sum, spread
-from .splitting import Room, Wish, split_rounds, worst_after
+from .splitting import Room, split_rounds
 from .triangle import SQRT3, corners, signed_area
 
 # An edge of its size is not worth a vertex that was long in coming.
@@ -59,7 +59,7 @@ class Relocation(Remeshing):
         edge = e.edges()
         wanted = e.per_mesh(edge[e.relative_length(edge) > long])
         collapses = collapse_rounds(e, self._too_short(e, short), self._harmless, budget=wanted)
-        splits = split_rounds(e, self._worth_a_vertex(e), budget=collapses, room=_freed_rows(triangle_mesh(part)))
+        splits = split_rounds(e, self._too_long(e, _WORTH), budget=collapses, room=_freed_rows(triangle_mesh(part)))
         whole = splits == collapses
         unit = spread(centre_and_unit(part.points, part.point_offsets)[1], part.point_offsets)
         points = (torch.stack([e.x, e.y], 1) * unit[:, None]).to(part.points)
@@ -85,17 +85,6 @@ class Relocation(Remeshing):
         fitting = segment_sum(share, part.triangle_offsets) * (4 / SQRT3)
         factor = (fitting / counts_from_offsets(part.triangle_offsets)).sqrt()
         return size * spread(factor, part.point_offsets)
-
-    def _worth_a_vertex(self, e: Editable) -> Wish:
-        def wish(h: Tensor) -> tuple[Tensor, Tensor]:
-            ratio = e.relative_length(h)
-            long = (ratio > _WORTH).nonzero().squeeze(1)
-            before, after = worst_after(e, h[long])
-            wanted = torch.zeros(len(h), dtype=torch.bool, device=h.device)
-            wanted[long] = after <= before.clamp_min(self.options.worst)
-            return wanted, e.shuffled(h, -ratio)
-
-        return wish
 
 
 def _freed_rows(face_mesh: Tensor) -> Room:
