@@ -3,6 +3,7 @@
 import itertools
 import os
 import random
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -132,3 +133,27 @@ def test_a_closed_run_leaves_no_process(tmp_path):
     results.close()
     assert process.poll() is not None
     assert made[0]._process is None
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGPIPE")
+def test_a_lost_worker_kills_nobody_when_a_library_made_broken_pipes_deadly():
+    """gmsh does so in `initialize`: then a write to a process that is gone would end the caller."""
+    code = """
+import signal
+from torchmesh import ImproveOptions
+from torchmesh.batching import Job
+from torchmesh.workers import LocalWorker, WorkerLost
+
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+worker = LocalWorker(ImproveOptions(), 100, "")
+process = worker._running()
+process.kill()
+process.wait()
+try:
+    list(worker.run([Job("a", "a.vtu", "b.vtu", "staging", 1)] * 10_000))
+except WorkerLost as lost:
+    print(lost)
+assert not signal.sigpending() and not signal.pthread_sigmask(signal.SIG_BLOCK, [])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "killed by signal 9, perhaps for want of memory\n"), done.stderr

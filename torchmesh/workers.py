@@ -16,6 +16,7 @@ import contextlib
 import os
 import pickle
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -70,8 +71,9 @@ class LocalWorker:
         assert process.stdin is not None
         assert process.stdout is not None
         try:
-            pickle.dump(list(jobs), process.stdin)
-            process.stdin.flush()
+            with _broken_pipes_raise():
+                pickle.dump(list(jobs), process.stdin)
+                process.stdin.flush()
             while (result := pickle.load(process.stdout)) is not None:
                 yield result
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -99,8 +101,9 @@ class LocalWorker:
             if self._stopped:
                 process.kill()
             try:
-                process.stdin.write(self._settings)
-                process.stdin.flush()
+                with _broken_pipes_raise():
+                    process.stdin.write(self._settings)
+                    process.stdin.flush()
                 pickle.load(process.stdout)
             except (EOFError, OSError, pickle.UnpicklingError):
                 reason = self._end(process)
@@ -127,7 +130,7 @@ class LocalWorker:
         """Waits for a process that has closed its stream; says how it ended."""
         self._process = None
         for stream in (process.stdin, process.stdout):
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError), _broken_pipes_raise():
                 stream.close()  # type: ignore[union-attr]
         try:
             code = process.wait(timeout=10)
@@ -137,6 +140,25 @@ class LocalWorker:
         if code < 0:
             return f"killed by signal {-code}" + (", perhaps for want of memory" if code == -9 else "")
         return f"exit status {code}"
+
+
+@contextlib.contextmanager
+def _broken_pipes_raise() -> Iterator[None]:
+    """Inside, writing to a process that is gone raises BrokenPipeError, as Python has it from its start.
+
+    A library may have put back the system's rule, which is to kill the writer: gmsh does in `initialize`.
+    The signal is kept from this thread only, and thrown away: handlers are the caller's own.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows knows no such signal
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    try:
+        yield
+    finally:
+        if signal.SIGPIPE not in before and signal.SIGPIPE in signal.sigpending():
+            signal.sigwait({signal.SIGPIPE})
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def serve() -> None:
