@@ -30,7 +30,7 @@ FLOORS = [
     ["delaunay", "metrics", "pockets", "diagnosis", "paths", "genealogy", "sizing"],
     ["warping", "pyg", "sliding"],
     ["smoothing"],
-    ["untangling", "remeshing", "certificate"],
+    ["untangling", "remeshing", "certificate", "polishing"],
     ["relocation"],
     ["report"],
     ["losses", "excerpts"],

@@ -20,6 +20,7 @@ from .mesh import MeshBatch, join
 from .options import ImproveOptions
 from .paths import largest_step
 from .pipeline import improve
+from .polishing import PolishInfo, PolishOptions, polish
 from .quality import Quality, minimum_angle, quality
 from .remeshing import RemeshInfo, RemeshOptions, remesh
 from .report import Progress, Report, Step
@@ -133,6 +134,9 @@ __all__ = [
     "metric_from",
     "metrics",
     "minimum_angle",
+    "polish",
+    "PolishInfo",
+    "PolishOptions",
     "quality",
     "relax",
     "remesh",

@@ -19,11 +19,12 @@ from .diagnosis import diagnose
 from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
 from .options import ImproveOptions
 from .pockets import untangle_batch_by_pockets
+from .polishing import bad_triangles, polish
 from .quality import quality
 from .relocation import Relocation, crowded
 from .remeshing import RemeshInfo, Remeshing, RemeshOptions
 from .report import Progress, Report, Step
-from .segments import segment_count, spread
+from .segments import segment_any, segment_count, spread
 from .sizing import size_field
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
@@ -39,8 +40,8 @@ _FLIP_ROUNDS = 2
 # A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
 _STILL = 0.02
 
-# The inverse mean ratio of a triangle that is all but flat.
-_SLIVER = 50.0
+# The inverse mean ratio of a triangle so flat that flips and q^2 would not see the others for it.
+_SLIVER = 1e4
 
 
 class Job:
@@ -191,6 +192,18 @@ class Job:
                 self._twin = None
                 done(work.batch, flips=work.flips)
 
+    def polish(self) -> None:
+        """Better the worst triangles of the valid meshes, where there are any beyond what is asked."""
+        options = self.options.polish
+        if options is None:
+            return
+        at = segment_any(bad_triangles(self.batch, self.quality, options), self.batch.triangle_offsets)
+        if bool(at.any()):
+            with self._stage("polish", at) as done:
+                part, info = polish(self.batch.select(at), options)
+                self._twin = None
+                done(part, flips=info.flips)
+
     def remesh(self) -> None:
         """Splits and collapses where they better the valid meshes."""
         at = self.quality.inverted == 0
@@ -200,6 +213,8 @@ class Job:
                 work.improve(at)
                 self._twin = None
                 done(work.batch, flips=work.flips[at])
+            self.polish()
+            work.batch = self.batch
         self.remeshed = work.info()
 
     def _sized(self, at: Tensor) -> RemeshOptions:

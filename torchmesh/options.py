@@ -6,6 +6,7 @@ from typing import Any, Literal
 from torch import Tensor
 
 from .mesh import MeshBatch
+from .polishing import PolishOptions
 from .remeshing import RemeshOptions
 from .smoothing import SmoothOptions
 from .targets import check_topology
@@ -24,6 +25,8 @@ class ImproveOptions:
                       are those of the `reference`, if there is one
     untangle          untangle-beta between the flips; "default" tries other ways where it fails
     smooth            the smoothing steps
+    polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None: none.
+                      Not with topology "keep", targets, or method "paper"
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
     reference         the same meshes undeformed, with the same triangles, if the caller has them: tangled
@@ -49,6 +52,7 @@ class ImproveOptions:
     smooth_rounds: int = 15
     boundary: Literal["fixed", "slide"] = "fixed"
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
+    polish: PolishOptions | None = field(default_factory=PolishOptions)
     reference: MeshBatch | None = None
     excerpts: bool = True
     workers: int | None = None

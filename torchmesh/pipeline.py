@@ -4,7 +4,7 @@
    +-- relax: neighbours' means, triangles kept      +-> flips that lower the smoother's energy <-+
    |-- flip and untangle-beta, in turn               |   smooth (inverse mean ratio) -------------+
    |-- re-triangulate pockets                        |        | no flip is left, or quality settles
-   +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> certify
+   +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> polish the worst -> certify
 
 Every mesh goes down its own road; the meshes on one stretch of road travel as one batch.
 """
@@ -113,6 +113,8 @@ def _improve_whole(
             job.relocate()
             if options.slides:
                 job.smooth_again()
+            if options.topology != "full":
+                job.polish()
     job.count_moved()
     if options.topology == "full":
         job.remesh()

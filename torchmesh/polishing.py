@@ -1,0 +1,406 @@
+"""The worst triangles of a valid mesh, each with its neighbourhood, worst first.
+
+        bad triangles --> patches, no two in touch --> every single flip of every patch, as a batch
+             ^                                          of small meshes, each smoothed for its worst
+             +---- the best of each patch goes back ----------------------+
+
+Flips and smoothing by the sum over a mesh end where no single flip lowers that sum; a flip that
+makes its two triangles worse, and the whole patch better once its vertices have moved, they never try.  Local
+search that judges by the worst triangle does (Freitag & Ollivier-Gooch, Tetrahedral mesh improvement
+using swapping and smoothing, International Journal for Numerical Methods in Engineering 40, 1997).
+In place of the non-smooth maximum stands the sum of a high power of the inverse mean ratio.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from . import triangle
+from .connectivity import next_in_triangle, previous_in_triangle, twins
+from .delaunay import constrained_half_edges
+from .flipping import Quads, edge_exists, new_signs
+from .mesh import MeshBatch, corners_of, join, touching, triangle_mesh
+from .quality import Quality, quality
+from .segments import counts_from_offsets, offsets_from_counts, segment_max, segment_min, segment_sum, spread
+from .smoothing import SmoothOptions, smooth
+from .triangle import SQRT3, corners, inverse_mean_ratio
+
+
+@dataclass(frozen=True)
+class PolishOptions:
+    """How `polish` works.
+
+    angle       degrees; triangles with a smaller angle are worked on
+    ratio       and those of a higher inverse mean ratio
+    max_rounds  rounds at most, of one change in each patch, and as many again in wider patches
+    smooth      the smoothing of each patch: a power so high that the worst triangle counts
+    """
+
+    angle: float = 25.0
+    ratio: float = 1.9
+    max_rounds: int = 12
+    smooth: SmoothOptions = field(
+        default_factory=lambda: SmoothOptions(power=12, max_iterations=18, energy_tolerance=1e-2)
+    )
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.angle < 60:
+            raise ValueError(f"PolishOptions.angle must be in degrees from 0 to below 60, not {self.angle}")
+        if not self.ratio > 1:
+            raise ValueError(f"PolishOptions.ratio must be above 1, the ideal, not {self.ratio}")
+        if self.max_rounds < 0:
+            raise ValueError(f"PolishOptions.max_rounds must not be negative, but is {self.max_rounds}")
+
+
+@dataclass(frozen=True, eq=False)
+class PolishInfo:
+    """What `polish` did: per mesh (B,) int64 the patches it bettered, and the edges it flipped in them."""
+
+    patches: Tensor
+    flips: Tensor
+
+
+class _Level(NamedTuple):
+    """How hard a patch is tried: its rings of free vertices, flips in a row, of edges at the worst triangle only?"""
+
+    rings: int
+    flips: int
+    near: bool
+
+
+_LEVELS = (_Level(2, 1, True), _Level(3, 2, True))
+# First flips of a patch that are followed by a second.
+_FINALISTS = 4
+# Degrees that a patch must win to be worth a round, and as much of the inverse mean ratio.
+_GAIN, _GAIN_OF_RATIO = 0.05, 0.005
+# Degrees above what is asked for that count: at the threshold itself rounding would tell.
+_MARGIN = 0.1
+
+
+def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[MeshBatch, PolishInfo]:
+    """Better the worst triangles of valid meshes by flips and moves of the vertices next to them.
+
+    Vertices keep number and order, fixed ones their place; boundary and constrained edges stay.  Meshes without
+    a triangle beyond `angle` or `ratio`, and those with inverted triangles, come back bit for bit.  No
+    mesh's smallest angle gets smaller, nor its largest inverse mean ratio larger.
+    """
+    options = options or PolishOptions()
+    none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
+    bad = bad_triangles(batch, quality(batch), options)
+    if not bool(bad.any()):
+        return batch, PolishInfo(none, none.clone())
+    work = _Polishing(batch, bad, options)
+    for level in _LEVELS:
+        work.run(level)
+    return work.whole(), PolishInfo(work.patches, work.flips)
+
+
+def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tensor:
+    """(T,) bool: the triangles of the valid meshes that are beyond what is asked; q is their quality.
+
+    Among triangles with the angle t the isosceles one has the lowest inverse mean ratio, (2 - cos t) / (sqrt(3) sin t):
+    below that no angle need be measured.
+    """
+    t = math.radians(options.angle)
+    least = min((2 - math.cos(t)) / (SQRT3 * math.sin(t)), options.ratio) if t else options.ratio
+    bad = q.inverse_mean_ratio > least
+    rows = bad.nonzero().squeeze(1)
+    valid = q.inverted.index_select(0, torch.bucketize(rows, batch.triangle_offsets[1:], right=True)) == 0
+    few = corners(batch.points.to(torch.float64), batch.triangles.index_select(0, rows))
+    bad[rows] = valid & _is_bad(triangle.minimum_angle(few), q.inverse_mean_ratio.index_select(0, rows), options)
+    return bad
+
+
+def _is_bad(angle: Tensor, ratio: Tensor, options: PolishOptions) -> Tensor:
+    return (angle < options.angle * (torch.pi / 180)) | (ratio > options.ratio)
+
+
+class _Polishing:
+    """The surroundings of the bad triangles on their way; the rest of the batch is not looked at.
+
+    part      those surroundings, a mesh for each of the batch's; `vertices`, `faces`: their rows there
+    complete  (V',) bool, all triangles at the vertex are in `part`
+    stuck     (T',) bool, the triangle was tried in vain, and nothing near it has changed since
+    """
+
+    def __init__(self, batch: MeshBatch, bad: Tensor, options: PolishOptions) -> None:
+        self.batch, self.options = batch, options
+        self.patches = torch.zeros(len(batch), dtype=torch.int64, device=bad.device)
+        self.flips = self.patches.clone()
+        # A patch may leave the next one beside it bad, and so on, so far.
+        near = corners_of(batch, bad)
+        for _ in range(3 * max(level.rings for level in _LEVELS)):
+            near = corners_of(batch, touching(batch, near))
+        taken = touching(batch, near)
+        self.faces = taken.nonzero().squeeze(1)
+        present = corners_of(batch, taken)
+        self.vertices = present.nonzero().squeeze(1)
+        row = torch.nn.functional.pad(present.cumsum(0), (1, 0))
+        kept = batch.constrained_edges[present[batch.constrained_edges].all(1)]
+        self.complete = near[self.vertices]
+        self.part = MeshBatch(
+            batch.points[self.vertices],
+            row[batch.triangles[self.faces]],
+            batch.fixed[self.vertices] | ~self.complete,
+            row[kept],
+            row[batch.point_offsets],
+            torch.nn.functional.pad(taken.cumsum(0), (1, 0))[batch.triangle_offsets],
+            batch.frames,
+        )
+        self.stuck = torch.zeros(len(self.faces), dtype=torch.bool, device=bad.device)
+
+    def whole(self) -> MeshBatch:
+        """The batch with what was bettered in its place."""
+        points, triangles = self.batch.points.clone(), self.batch.triangles.clone()
+        points[self.vertices] = self.part.points
+        triangles[self.faces] = self.vertices[self.part.triangles]
+        return replace(self.batch, points=points, triangles=triangles)
+
+    def run(self, level: _Level) -> None:
+        """Rounds of this level until every bad triangle is good or was tried in vain."""
+        self.stuck = torch.zeros_like(self.stuck)
+        for _ in range(self.options.max_rounds):
+            t = corners(self.part.points.to(torch.float64), self.part.triangles)
+            angle, ratio = triangle.minimum_angle(t), inverse_mean_ratio(t)
+            bad = _is_bad(angle, ratio, self.options) & ~self.stuck
+            if not bool(bad.any()):
+                break
+            self._round(_seeds(self.part, bad, angle, 2 * level.rings), level)
+
+    def _round(self, seeds: Tensor, level: _Level) -> None:
+        part = self.part
+        patches = _Patches.round(part, seeds, level.rings, self.complete)
+        given = patches.mesh
+        best, flips = _best_of(patches, level, self.options)
+        before, after = _Worst.of(given), _Worst.of(best)
+        good = after.betters(before, self.options)
+        # Back into their rows: vertices that do not move stand in more than one patch.
+        rows = spread(good, given.point_offsets) & ~given.fixed
+        faces = spread(good, given.triangle_offsets)
+        points, triangles = part.points.clone(), part.triangles.clone()
+        points[patches.vertices[rows]] = best.points[rows]
+        triangles[patches.faces[faces]] = patches.vertices[best.triangles[faces]]
+        self.part = replace(part, points=points, triangles=triangles)
+        self.stuck[seeds[~good]] = True
+        self.stuck[patches.faces[faces]] = False
+        owner = triangle_mesh(part)[seeds[good]]
+        self.patches += torch.bincount(owner, minlength=len(part))
+        self.flips.index_add_(0, owner, flips[good])
+
+
+def _seeds(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
+    """(P,) rows of the bad triangles that are worse than every other within `reach` edges, ascending."""
+    rows = bad.nonzero().squeeze(1)
+    order = rows[angle[rows].argsort(stable=True)]
+    last = len(order)
+    rank = torch.full((len(part.triangles),), last, dtype=torch.int64, device=bad.device)
+    rank[order] = torch.arange(last, device=bad.device)
+    own, corner = rank, [v.contiguous() for v in part.triangles.unbind(1)]
+    for _ in range(reach):
+        at_vertex = torch.full((len(part.points),), last, dtype=torch.int64, device=bad.device)
+        for v in corner:
+            at_vertex.scatter_reduce_(0, v, rank, "amin")
+        a, b, c = (at_vertex.index_select(0, v) for v in corner)
+        rank = torch.minimum(a, torch.minimum(b, c))
+    return (bad & (rank == own)).nonzero().squeeze(1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Patches:
+    """P small meshes cut out of a batch, whose outermost vertices are fixed.
+
+    mesh      the P meshes;  vertices, faces  (V,), (T,) their rows in the batch
+    complete  (V,) bool, all triangles at the vertex are in its patch
+    seed      (V,) bool, the corners of the patch's worst triangle
+    """
+
+    mesh: MeshBatch
+    vertices: Tensor
+    faces: Tensor
+    complete: Tensor
+    seed: Tensor
+
+    @classmethod
+    def round(cls, part: MeshBatch, seeds: Tensor, rings: int, complete: Tensor) -> "_Patches":
+        """The triangles `seeds` (P,) and so many rings of vertices round each, no two patches in touch."""
+        label = torch.full((len(part.points),), -1, dtype=torch.int64, device=seeds.device)
+        number = torch.arange(len(seeds), device=seeds.device)
+        corner = [v.contiguous() for v in part.triangles.unbind(1)]
+        for v in corner:
+            label[v[seeds]] = number
+        for ring in range(rings):
+            a, b, c = (label.index_select(0, v) for v in corner)
+            of_face = torch.maximum(a, torch.maximum(b, c))
+            if ring < rings - 1:
+                for v in corner:
+                    label.scatter_reduce_(0, v, of_face, "amax")
+        faces = (of_face >= 0).nonzero().squeeze(1)
+        faces = faces[of_face[faces].argsort(stable=True)]
+        owner, count = of_face[faces], len(part.points)
+        # A vertex on the rim of two patches is in both.
+        keys, place = torch.unique(owner[:, None] * count + part.triangles[faces], return_inverse=True)
+        vertices = keys % count
+        mine = label[vertices] == keys // count
+        point_offsets = offsets_from_counts(torch.bincount(keys // count, minlength=len(seeds)))
+        locked = constrained_half_edges(part, part.triangles.new_full((3 * len(part.triangles),), -1))
+        h = locked.reshape(-1, 3)[faces].reshape(-1).nonzero().squeeze(1)
+        ends = torch.stack([place.reshape(-1)[h], place.reshape(-1)[next_in_triangle(h)]], 1)
+        mesh = MeshBatch(
+            part.points[vertices],
+            place,
+            part.fixed[vertices] | ~mine,
+            ends,
+            point_offsets,
+            offsets_from_counts(torch.bincount(owner, minlength=len(seeds))),
+            part.frames[triangle_mesh(part)[seeds]],
+        )
+        seed = torch.zeros(count, dtype=torch.bool, device=seeds.device)
+        seed[part.triangles[seeds]] = True
+        return cls(mesh, vertices, faces, mine & complete[vertices], seed[vertices] & mine)
+
+
+class _Worst(NamedTuple):
+    """Per mesh (B,): smallest angle in radians, largest inverse mean ratio, sum of their squares; valid (B,) bool."""
+
+    angle: Tensor
+    ratio: Tensor
+    energy: Tensor
+
+    @classmethod
+    def of(cls, batch: MeshBatch) -> "_Worst":
+        t, offsets = corners(batch.points.to(torch.float64), batch.triangles), batch.triangle_offsets
+        ratio = inverse_mean_ratio(t)
+        return cls(
+            segment_min(triangle.minimum_angle(t), offsets),
+            segment_max(ratio, offsets),
+            segment_sum(ratio.square(), offsets),
+        )
+
+    def lack(self, options: PolishOptions) -> Tensor:
+        """(B,) how far the worst is beyond what is asked, 0 if it is not: parts of the angle and of the ratio."""
+        angle = (options.angle + _MARGIN) * (torch.pi / 180)
+        return ((angle - self.angle) / angle).clamp_min(0) + (self.ratio / options.ratio - 1).clamp_min(0)
+
+    def betters(self, before: "_Worst", options: PolishOptions) -> Tensor:
+        """(B,) bool: no worse in angle nor ratio, and nearer in one to what is asked."""
+        wider = self.angle - before.angle > _GAIN * (torch.pi / 180)
+        rounder = (before.ratio > options.ratio) & (before.ratio - self.ratio > _GAIN_OF_RATIO)
+        return (wider | rounder) & (self.angle >= before.angle) & (self.ratio <= before.ratio)
+
+
+def _best_of(patches: _Patches, level: _Level, options: PolishOptions) -> tuple[MeshBatch, Tensor]:
+    """Each patch (P,) after the best flips found, smoothed; and how many flips those are (P,)."""
+    given = patches.mesh
+    start, of_start = given, torch.arange(len(given), device=patches.seed.device)
+    found, of_found, flips_of_found = [], [], []
+    for depth in range(level.flips):
+        complete, seed = (v[_ragged(given.point_offsets, of_start)] for v in (patches.complete, patches.seed))
+        members, of_member, flipped = _flipped(start, complete, seed if level.near else None)
+        patch = of_start[of_member]
+        members, _ = smooth(members, options.smooth)
+        few = _first_of_each(patch, _Worst.of(members), len(given), _FINALISTS, options)
+        start, of_start = members.select(few), patch[few]
+        found.append(start)
+        of_found.append(of_start)
+        flips_of_found.append(depth + flipped[few].long())
+    every, owner, flips = join(found), torch.cat(of_found), torch.cat(flips_of_found)
+    chosen = _first_of_each(owner, _Worst.of(every), len(given), 1, options).nonzero().squeeze(1)
+    chosen = chosen[owner[chosen].argsort(stable=True)]
+    return _picked(every, chosen, given), flips[chosen]
+
+
+def _picked(batch: MeshBatch, order: Tensor, like: MeshBatch) -> MeshBatch:
+    """The meshes `order` (P,) of `batch`, which have the rows of `like`."""
+    points = batch.points[_ragged(batch.point_offsets, order)]
+    faces = _ragged(batch.triangle_offsets, order)
+    shift = like.point_offsets[:-1] - batch.point_offsets[:-1][order]
+    triangles = batch.triangles[faces] + spread(shift, like.triangle_offsets)[:, None]
+    return replace(like, points=points, triangles=triangles)
+
+
+def _first_of_each(owner: Tensor, worst: _Worst, count: int, number: int, options: PolishOptions) -> Tensor:
+    """(N,) bool: the best `number` of the rows of each owner: least lack, then least energy, then first."""
+    order = worst.energy.argsort(stable=True)
+    order = order[worst.lack(options)[order].argsort(stable=True)]
+    order = order[owner[order].argsort(stable=True)]
+    first = offsets_from_counts(torch.bincount(owner, minlength=count))[:-1]
+    place = torch.arange(len(owner), device=owner.device) - first[owner[order]]
+    chosen = torch.zeros(len(owner), dtype=torch.bool, device=owner.device)
+    chosen[order] = place < number
+    return chosen
+
+
+def _flipped(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple[MeshBatch, Tensor, Tensor]:
+    """Every mesh as it is and with each of its edges flipped that may be.
+
+    Returns the M meshes, the mesh (M,) of `batch` that each comes from, and (M,) bool: is it flipped?
+    complete  (V,) bool, all triangles at the vertex are there
+    near      (V,) bool, flip edges that end at one of these only; None: at any
+    """
+    twin = twins(batch.triangles)
+    vertex = batch.triangles.reshape(-1)
+    locked = constrained_half_edges(batch, twin)
+    half = torch.arange(len(twin), device=twin.device)
+    h = ((twin > half) & ~locked).nonzero().squeeze(1)
+    g = twin[h]
+    u, w, s, r = vertex[h], vertex[g], vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
+    if near is not None:
+        close = near[u] | near[w]
+        h, g, u, w, s, r = (v[close] for v in (h, g, u, w, s, r))
+    x, y = batch.points.to(torch.float64).unbind(1)
+    first, second = new_signs(Quads(x[u], y[u], x[w], y[w], x[s], y[s], x[r], y[r]))
+    # Whether the new edge is there already, one of its ends must know; it does if it has one fan of triangles.
+    knows = complete & (torch.bincount(vertex[twin < 0], minlength=len(x)) < 2)
+    legal = (first > 0) & (second > 0) & (s != r) & (knows[s] | knows[r])
+    h, g, u, w, s, r = (v[legal] for v in (h, g, u, w, s, r))
+    start = torch.where(knows[s], previous_in_triangle(h), previous_in_triangle(g))
+    free = ~edge_exists(vertex, twin, start, torch.where(knows[s], r, s))
+    h, g, u, w, s, r = (v[free] for v in (h, g, u, w, s, r))
+    counts = torch.bincount(triangle_mesh(batch)[h // 3], minlength=len(batch)) + 1
+    owner = torch.arange(len(batch), device=h.device).repeat_interleave(counts)
+    first_member = offsets_from_counts(counts)[:-1]
+    flipped = torch.ones_like(owner, dtype=torch.bool)
+    flipped[first_member] = False
+    # Edges ascend, so those of a mesh stand together, in the order of its members.
+    member = flipped.nonzero().squeeze(1)
+    out = _repeated(batch, owner)
+    triangles = out.triangles.clone()
+    of = owner[member]
+    to_vertex, to_face = (out.point_offsets[:-1][member] - batch.point_offsets[of],
+                          out.triangle_offsets[:-1][member] - batch.triangle_offsets[of])  # fmt: skip
+    triangles[h // 3 + to_face] = torch.stack([u, r, s], 1) + to_vertex[:, None]
+    triangles[g // 3 + to_face] = torch.stack([r, w, s], 1) + to_vertex[:, None]
+    return replace(out, triangles=triangles), owner, flipped
+
+
+def _ragged(offsets: Tensor, owner: Tensor) -> Tensor:
+    """The rows of the meshes `owner` (M,), one after the other."""
+    counts = counts_from_offsets(offsets)[owner]
+    ends = offsets_from_counts(counts)
+    shift = offsets[:-1][owner] - ends[:-1]
+    return torch.arange(int(ends[-1]), device=owner.device) + shift.repeat_interleave(counts)
+
+
+def _repeated(batch: MeshBatch, owner: Tensor) -> MeshBatch:
+    """The meshes `owner` (M,) of the batch, each as often as it is named."""
+    vertices, faces = _ragged(batch.point_offsets, owner), _ragged(batch.triangle_offsets, owner)
+    point_offsets = offsets_from_counts(counts_from_offsets(batch.point_offsets)[owner])
+    triangle_offsets = offsets_from_counts(counts_from_offsets(batch.triangle_offsets)[owner])
+    shift = point_offsets[:-1] - batch.point_offsets[:-1][owner]
+    of_edge = torch.searchsorted(batch.point_offsets, batch.constrained_edges[:, 0].contiguous(), right=True) - 1
+    order = of_edge.argsort(stable=True)
+    edge_offsets = offsets_from_counts(torch.bincount(of_edge, minlength=len(batch)))
+    edges = _ragged(edge_offsets, owner)
+    edge_shift = shift.repeat_interleave(counts_from_offsets(edge_offsets)[owner])
+    return MeshBatch(
+        batch.points[vertices],
+        batch.triangles[faces] + spread(shift, triangle_offsets)[:, None],
+        batch.fixed[vertices],
+        batch.constrained_edges[order][edges] + edge_shift[:, None],
+        point_offsets,
+        triangle_offsets,
+        batch.frames[owner],
+    )
