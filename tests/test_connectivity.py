@@ -120,6 +120,21 @@ def test_components_are_parted_by_missing_and_by_blocked_edges():
     assert len({(int(p), bool(s)) for p, s in zip(parts, side, strict=True)}) == 2
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])
+def test_components_agree_with_scipys(named, rng, share):
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    triangles = named[2][torch.from_numpy(rng.permutation(len(named[2])))]  # so that roots are far from each other
+    twin = con.twins(triangles)
+    blocked = torch.from_numpy(rng.random(len(twin)) < share)
+    open_side = ((twin >= 0) & ~blocked).nonzero().squeeze(1)
+    ends = (open_side // 3).numpy(), (twin[open_side] // 3).numpy()
+    graph = coo_matrix((np.ones(len(open_side)), ends), shape=(len(triangles),) * 2)
+    _, label = connected_components(graph, directed=False)
+    assert con.triangle_components(triangles, twin, blocked).tolist() == label.tolist()
+
+
 def test_triangles_that_touch_in_a_vertex_are_not_neighbours():
     triangles = torch.from_numpy(meshes.BOWTIE[1])
     assert con.twins(triangles).tolist() == [-1] * 6

@@ -10,7 +10,6 @@ touch is opposite.  Its twin is the half-edge of the neighbour across the same e
                   \\ twin /
 """
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -88,15 +87,27 @@ def euler_number(triangles: Tensor, twin: Tensor) -> int:
 
 
 def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None = None) -> Tensor:
-    """(T,) int64 component of each triangle, neighbours across edges; `blocked` (3T,) bool edges part."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+    """(T,) int64 component of each triangle, neighbours across edges; edges `blocked` (3T,) bool on both sides part.
 
-    across = twin >= 0 if blocked is None else (twin >= 0) & ~blocked
-    h = across.nonzero().squeeze(1)
-    i, j = (h // 3).cpu().numpy(), (twin[h] // 3).cpu().numpy()
-    graph = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(len(triangles),) * 2)
-    return torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64)).to(triangles.device)
+    Numbered by their first triangles.  Of two components that touch, the one of higher root is hooked to the
+    lower root, all at once, then every tree is flattened (Shiloach & Vishkin, An O(log n) parallel
+    connectivity algorithm, Journal of Algorithms 3, 1982); about five rounds do a million triangles.
+    """
+    h = (twin > torch.arange(len(twin), device=twin.device)).nonzero().squeeze(1)
+    if blocked is not None:
+        h = h[~(blocked[h] & blocked[twin[h]])]
+    one, two = h // 3, twin[h] // 3
+    root = torch.arange(len(triangles), device=twin.device)
+    while len(one):
+        root.scatter_reduce_(0, torch.maximum(one, two), torch.minimum(one, two), "amin")
+        above = root[root]
+        while not torch.equal(above, root):
+            root, above = above, above[above]
+        one, two = root[one], root[two]
+        apart = (one != two).nonzero().squeeze(1)
+        one, two = one[apart], two[apart]
+    first = root == torch.arange(len(root), device=root.device)
+    return (first.cumsum(0) - 1)[root]
 
 
 def boundary_loops(rim: Tensor) -> list[Tensor]:
