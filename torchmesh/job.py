@@ -30,8 +30,9 @@ from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
 from .targets import MetricField, narrow
+from .unscrambling import unscramble
 from .untangling import UntangleOptions, untangle
-from .warping import femwarp, relax
+from .warping import femwarp
 
 # Rounds of flips between two goes of untangling: the first flips do most, the last ones have tangles
 # as their only guide.
@@ -128,7 +129,7 @@ class Job:
             self._try(
                 "femwarp", self.given, lambda part: (femwarp(replace(known, fixed=part.fixed), part.points), None)
             )
-        self._try("relax", self.given, lambda part: (relax(part), None))
+        self._try("relax", self.given, lambda part: (unscramble(part), None))
         relaxed = self.batch
         if may_flip:
             best, since = self.quality.inverted, torch.zeros_like(self.quality.inverted)
