@@ -13,7 +13,7 @@ Each energy states phi in plain differentiable torch (`value`), and its slopes b
 import dataclasses
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import ClassVar, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -56,7 +56,12 @@ _R = TypeVar("_R")
 
 
 class Energy(Protocol):
-    """An energy of one triangle as a function of its invariants; parameters are (T,) or floats."""
+    """An energy of one triangle as a function of its invariants; parameters are (T,) or floats.
+
+    stretches  whether phi depends on the stretch; if not, the kernel does not compute it, and gives det in its place
+    """
+
+    stretches: ClassVar[bool]
 
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
         """(T,) phi in differentiable torch operations; infinite where it has no value."""
@@ -84,6 +89,7 @@ class InverseMeanRatio:
     Infinite for a triangle that is not upright, so that no step can invert one.
     """
 
+    stretches: ClassVar[bool] = True
     power: int = 2
     ceiling: float | None = None
 
@@ -97,7 +103,7 @@ class InverseMeanRatio:
 
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         # A det that is not positive becomes tiny: its phi overflows the line search's test.
-        inverse = 1.0 / det.clamp_min(1e-160)
+        inverse = 1.0 / det.clamp_min(1e-160 if det.dtype == torch.float64 else 1e-30)
         ratio = 0.5 * stretch * inverse
         # Repeated products: the bits of a general power depend on where in a vector a number stands.
         lower = ratio if self.power > 1 else torch.ones_like(ratio)
@@ -120,6 +126,7 @@ class UntangleBeta:
     beta  in the unit of A, which is det / 2 under a target with m = 1
     """
 
+    stretches: ClassVar[bool] = False
     beta: Tensor | float
 
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
@@ -140,6 +147,7 @@ class Regularised:
     becomes an inverse mean ratio with a pull towards the target's area.
     """
 
+    stretches: ClassVar[bool] = True
     eps: Tensor | float
     theta: float = 1 / 128
 
@@ -168,6 +176,7 @@ class TotalLiftedContent:
     """sqrt(det^2 + alpha stretch + alpha^2) (Du, Aigerman, Zhou, Kovalsky, Yan, Kaufman & Ju,
     Lifting simplices to find injectivity, ACM Transactions on Graphics 39, 2020)."""
 
+    stretches: ClassVar[bool] = True
     alpha: Tensor | float = 1e-2
 
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
@@ -190,24 +199,32 @@ def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
 
 
 def energy_and_forces(
-    coordinates: Tensor, rows: Tensor, energy: Energy, target: Target, borders: list[int] | None = None
+    coordinates: Tensor,
+    rows: Tensor,
+    energy: Energy,
+    target: Target,
+    borders: list[int] | None = None,
+    edges: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Energy of every triangle and the gradient of their sum, by hand-derived slopes.
 
     coordinates  (N,) all coordinates in one vector, in any order
     rows         (6, T) where the corner coordinates ax, ay, bx, by, cx, cy stand in it
     borders      where chunks of triangles begin and end, from `chunk_borders`; None: one mesh's
+    edges        (4, T) the x and y of e1 and of e2 where all coordinates are zero, which then are
+                 displacements; None: zero
 
     Returns phi (T,), the gradient (N,) and the smallest-det input det (T,).
     """
     gradient = torch.zeros_like(coordinates)
-    phi = coordinates.new_empty(rows.shape[1])
-    det = torch.empty_like(phi)
+    parts = []
     for start, end in itertools.pairwise(chunk_borders([0, rows.shape[1]]) if borders is None else borders):
         here = slice(start, end)
-        phi[here], det[here] = _add_forces(
-            coordinates, rows[:, here], select_rows(energy, here), select_rows(target, here), gradient
-        )
+        e = edges_of(coordinates, rows[:, here], None if edges is None else edges[:, here])
+        parts.append(_add_forces(e, rows[:, here], select_rows(energy, here), select_rows(target, here), gradient))
+    if not parts:
+        return coordinates[:0], gradient, coordinates[:0]
+    phi, det = parts[0] if len(parts) == 1 else (torch.cat(part) for part in zip(*parts, strict=True))
     return phi, gradient, det
 
 
@@ -230,25 +247,39 @@ def chunk_borders(offsets: list[int]) -> list[int]:
     return [*borders, offsets[-1]] if offsets[-1] > borders[-1] else borders
 
 
-def _add_forces(
-    coordinates: Tensor, rows: Tensor, energy: Energy, target: Target, gradient: Tensor
-) -> tuple[Tensor, Tensor]:
-    """phi and det of some triangles; their forces are added to `gradient`."""
+def edges_of(coordinates: Tensor, rows: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """(T,) the x and y of e1 and of e2."""
     gather = torch.index_select
     ax, ay = gather(coordinates, 0, rows[0]), gather(coordinates, 0, rows[1])
     e1x, e1y = gather(coordinates, 0, rows[2]).sub_(ax), gather(coordinates, 0, rows[3]).sub_(ay)
     e2x, e2y = gather(coordinates, 0, rows[4]).sub_(ax), gather(coordinates, 0, rows[5]).sub_(ay)
-    # Half the derivative of the stretch by e1 and by e2.
-    s1x, s1y = _combine(target.g11, e1x, target.g12, e2x), _combine(target.g11, e1y, target.g12, e2y)
-    s2x, s2y = _combine(target.g22, e2x, target.g12, e1x), _combine(target.g22, e2y, target.g12, e1y)
-    stretch = (s1x * e1x).addcmul_(s1y, e1y).addcmul_(s2x, e2x).addcmul_(s2y, e2y)
+    if before is not None:
+        for e, start in zip((e1x, e1y, e2x, e2y), before, strict=True):
+            e.add_(start)
+    return e1x, e1y, e2x, e2y
+
+
+def _add_forces(
+    edges: tuple[Tensor, Tensor, Tensor, Tensor], rows: Tensor, energy: Energy, target: Target, gradient: Tensor
+) -> tuple[Tensor, Tensor]:
+    """phi and det of some triangles of those e1 and e2; their forces are added to `gradient`."""
+    e1x, e1y, e2x, e2y = edges
     det = (e1x * e2y).addcmul_(e1y, e2x, value=-1).mul_(target.m)
-    phi, by_stretch, by_det = energy.value_and_slopes(stretch, det)
-    by_stretch, by_det = 2 * by_stretch, by_det * target.m
-    s1x.mul_(by_stretch).addcmul_(by_det, e2y)
-    s1y.mul_(by_stretch).addcmul_(by_det, e2x, value=-1)
-    s2x.mul_(by_stretch).addcmul_(by_det, e1y, value=-1)
-    s2y.mul_(by_stretch).addcmul_(by_det, e1x)
+    if energy.stretches:
+        # Half the derivative of the stretch by e1 and by e2.
+        s1x, s1y = _combine(target.g11, e1x, target.g12, e2x), _combine(target.g11, e1y, target.g12, e2y)
+        s2x, s2y = _combine(target.g22, e2x, target.g12, e1x), _combine(target.g22, e2y, target.g12, e1y)
+        stretch = (s1x * e1x).addcmul_(s1y, e1y).addcmul_(s2x, e2x).addcmul_(s2y, e2y)
+        phi, by_stretch, by_det = energy.value_and_slopes(stretch, det)
+        by_stretch, by_det = 2 * by_stretch, by_det * target.m
+        s1x.mul_(by_stretch).addcmul_(by_det, e2y)
+        s1y.mul_(by_stretch).addcmul_(by_det, e2x, value=-1)
+        s2x.mul_(by_stretch).addcmul_(by_det, e1y, value=-1)
+        s2y.mul_(by_stretch).addcmul_(by_det, e1x)
+    else:
+        phi, _, by_det = energy.value_and_slopes(det, det)
+        by_det = by_det * target.m
+        s1x, s1y, s2x, s2y = by_det * e2y, -by_det * e2x, -by_det * e1y, by_det * e1x
     gradient.index_add_(0, rows[2], s1x).index_add_(0, rows[3], s1y)
     gradient.index_add_(0, rows[4], s2x).index_add_(0, rows[5], s2y)
     gradient.index_add_(0, rows[0], s1x.add_(s2x), alpha=-1).index_add_(0, rows[1], s1y.add_(s2y), alpha=-1)

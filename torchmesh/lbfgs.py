@@ -79,7 +79,8 @@ class LbfgsResult:
 
 
 _SUFFICIENT_DECREASE = 1e-4
-_CURVATURE = 1e-10
+# Below this part of the slope along a step, the change of slope may be rounding.
+_CURVATURE = 1e-6
 
 
 def minimise(
@@ -88,7 +89,7 @@ def minimise(
     options: LbfgsOptions | None = None,
     monitor: Callable[[int, Tensor], None] | None = None,
 ) -> LbfgsResult:
-    """Minimise every problem of `objective` from `start` (N,).
+    """Minimise every problem of `objective` from `start` (N,), float32 or float64.
 
     monitor is called with the iteration and the energies (B',) of the problems still running.
     """
@@ -99,7 +100,7 @@ def minimise(
     final_rows = torch.arange(len(start), device=start.device).reshape(-1, BLOCK)
     report = {
         name: torch.zeros(problems, dtype=dtype, device=start.device)
-        for name, dtype in [("energy", start.dtype), ("gradient", start.dtype), ("iterations", torch.int64),
+        for name, dtype in [("energy", torch.float64), ("gradient", torch.float64), ("iterations", torch.int64),
                             ("evaluations", torch.int64), ("status", torch.int64)]
     }  # fmt: skip
     run = _Run(objective, start, options)
@@ -110,8 +111,8 @@ def minimise(
         # Finished problems leave together, when carrying them costs more than moving the rest.
         if everyone or 4 * int(run.blocks[finished].sum()) > int(run.blocks.sum()):
             leaving = rows[finished]
-            report["energy"][leaving] = run.energy[finished]
-            report["gradient"][leaving] = run.slope[finished]
+            report["energy"][leaving] = (run.energy / run.unit)[finished]
+            report["gradient"][leaving] = (run.slope / run.unit)[finished]
             report["iterations"][leaving] = run.accepted[finished]
             report["evaluations"][leaving] = run.evaluations[finished]
             report["status"][leaving] = run.status[finished]
@@ -124,18 +125,25 @@ def minimise(
         run.step(iteration)
         iteration += 1
         if monitor is not None:
-            monitor(iteration, run.energy)
+            monitor(iteration, run.energy / run.unit)
     return LbfgsResult(final, **report)
 
 
 class _Run:
     """The state of the problems that are still in the loop: (K, BLOCK) vectors and (B,) numbers.
 
-    x, g       unknowns and scaled gradient; d, t, descent: direction, step, slope of the energy along d
-    past       (K, 2m, BLOCK) the last m steps s, then the last m gradient changes y
-    gram       (B, 2, m, m) their products S'Y and Y'Y; against (B, 2, m) S'g and Y'g
-    valid      (B, m) the pairs that count: steps accepted, with positive curvature
-    gamma      (B,) s'y / y'y of the newest pair that counts: the scale of the first Hessian
+    Vectors are in the precision of the start, numbers in double precision; so that no product of single
+    precision leaves its range, each problem's energy is counted in a unit of its own.
+
+    x, d, t      unknowns, direction in units of `scale`, step
+    past         (K, 2m+1, BLOCK) the last m steps s, their m gradient changes y, the gradient g
+    energy       and descent, its slope along d, and gg = g'g, in units of 1 / unit
+    upper        (B, m, m) s_i'y_j, i <= j, from the oldest pair to the newest; a pair that does not
+                 count, refused or without positive curvature, has a one on the diagonal and zeros else
+    yy           (B, m, m) y_i'y_j, zero for such a pair
+    against      (B, 2m) S'g and Y'g by slots, in which pairs replace one another
+    valid        (B, m) the pairs that count, by age
+    gamma        (B,) s'y / y'y of the newest pair that counts: the scale of the first Hessian
     """
 
     def __init__(self, objective: Objective, start: Tensor, options: LbfgsOptions) -> None:
@@ -144,39 +152,42 @@ class _Run:
         self._index(counts_from_offsets(objective.block_offsets))
         self.scale = objective.scale.reshape(-1, BLOCK)
         self.x = start.reshape(-1, BLOCK).clone()
-        self.energy, gradient, done = objective(start)
-        finite = self.energy.isfinite()
-        self.g = gradient.reshape(-1, BLOCK) * self.scale
-        self.g = torch.where(self._to_blocks(finite), self.g, 0.0)
-        b, new = len(self.blocks), start.new_zeros
-        self.past = new((len(self.x), 2 * m, BLOCK))
-        self.gram, self.against = new((b, 2, m, m)), new((b, 2, m))
-        self.valid = torch.zeros((b, m), dtype=torch.bool, device=start.device)
-        self.free = self._sum((self.scale > 0).to(start.dtype).sum(1)).clamp_min(1)
-        self.gg = self._sum((self.g * self.g).sum(1))
+        energy, gradient, done = objective(start)
+        finite = energy.isfinite()
+        wide = self.scale.to(torch.float64)
+        self.free = self._sum((wide > 0).to(wide).sum(1)).clamp_min(1)
+        g = torch.where(self._to_blocks(finite), gradient.reshape(-1, BLOCK) * wide, 0.0)
+        self.unit = _unit((self._sum((g * g).sum(1)) / self.free).sqrt())
+        self.metric = (wide * self._to_blocks(self.unit)).to(start)
+        self.energy = energy.to(torch.float64) * self.unit
+        self.past = start.new_zeros((len(self.x), 2 * m + 1, BLOCK))
+        self.past[:, 2 * m] = g * self._to_blocks(self.unit)
+        self.against, self.gg = self._products()
+        self.valid = torch.zeros((len(self.blocks), m), dtype=torch.bool, device=start.device)
+        self.upper = torch.diag_embed((~self.valid).to(wide))
+        self.yy = torch.zeros_like(self.upper)
         self.status = torch.where(done, Status.VALID, Status.RUNNING)
         self.status = torch.where(finite, self.status, Status.NOT_FINITE)
         self.accepted = torch.zeros_like(self.status)
         self.evaluations = torch.ones_like(self.status)
         self.recent = self.energy.repeat(options.patience, 1)
-        self.gamma = first = self._first_step()
-        self.d = -self._to_blocks(first) * self.g
-        self.descent = -first * self.gg
-        self.t = self._limit(torch.ones_like(self.energy))
+        self.gamma = self._first_step()
+        self.d, self.descent = self._direction(torch.zeros_like(self.against))
+        self.t = self._whole_step()
 
     @property
     def slope(self) -> Tensor:
-        """(B,) root mean square of the scaled gradient."""
+        """(B,) root mean square of the scaled gradient, in units of 1 / unit."""
         return (self.gg / self.free).sqrt()
 
     def select(self, keep: Tensor) -> None:
         """Go on with some of the problems only."""
         of_blocks = self._to_blocks(keep).squeeze(1)
         self.objective = self.objective.select(keep)
-        for name in ("x", "g", "d", "scale", "past"):
+        for name in ("x", "d", "scale", "metric", "past"):
             setattr(self, name, getattr(self, name)[of_blocks])
-        for name in ("energy", "gram", "against", "gamma", "valid", "free", "gg", "status", "accepted",
-                     "evaluations", "t", "descent"):  # fmt: skip
+        for name in ("energy", "unit", "upper", "yy", "against", "gamma", "valid", "free", "gg", "status",
+                     "accepted", "evaluations", "t", "descent"):  # fmt: skip
             setattr(self, name, getattr(self, name)[keep])
         self.recent = self.recent[:, keep]
         self._index(self.blocks[keep])
@@ -186,108 +197,130 @@ class _Run:
         settled = (self.accepted >= self.options.patience) & (
             self.recent[0] - self.energy <= self.options.energy_tolerance * self.energy.abs()
         )
-        tests = [
-            (self.t < 1e-12, Status.STALLED),
-            (settled, Status.SETTLED),
-            (self.gg <= self.options.gradient_tolerance**2 * self.free, Status.CONVERGED),
-        ]
-        status = torch.full_like(self.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
-        for hit, ending in tests:
-            status = torch.where(hit, ending, status)
-        self.status = torch.where(self.status == Status.RUNNING, status, self.status)
+        small = self.gg <= (self.options.gradient_tolerance * self.unit).square() * self.free
+        status = torch.where(self.t < 1e-12, Status.STALLED, self.status)
+        status = torch.where(settled, Status.SETTLED, status)
+        status = torch.where(small, Status.CONVERGED, status)
+        running = self.status == Status.RUNNING
+        self.status = torch.where(running, status, self.status)
+        if out_of_iterations:
+            self.status = torch.where(self.status == Status.RUNNING, Status.ITERATION_LIMIT, self.status)
         return self.status != Status.RUNNING
 
     def step(self, iteration: int) -> None:
         """Try one step of every problem; accept it or shorten it."""
         running = self.status == Status.RUNNING
-        slot = iteration % self.options.history
-        move = self.d * self._to_blocks(self.t)
+        m = self.options.history
+        slot = iteration % m
+        move = self.past[:, slot]
+        torch.mul(self.d, self._to_blocks(self.t).to(self.d), out=move)
         x = torch.addcmul(self.x, move, self.scale)
         energy, gradient, done = self.objective(x.reshape(-1))
-        gradient = gradient.reshape(-1, BLOCK) * self.scale
+        energy = energy * self.unit
+        gradient = gradient.reshape(-1, BLOCK) * self.metric
         change = energy - self.energy
         good = running & (change <= _SUFFICIENT_DECREASE * self.t * self.descent) & energy.isfinite()
         if bool(good.all()):
-            self._advance(slot, x, move, gradient, good)
-            self.t = self._limit(torch.ones_like(self.t))
+            self.x = x
+            self._advance(slot, gradient, good)
+            self.t = self._whole_step()
         else:
             # A problem whose step was refused stays where it is; its pair of this slot is void.
             stay = (~good).index_select(0, self.owner).nonzero().squeeze(1)
             direction, descent = self.d[stay], self.descent
-            x[stay], move[stay], gradient[stay] = self.x[stay], 0.0, self.g[stay]
-            self._advance(slot, x, move, gradient, good)
+            x[stay], gradient[stay] = self.x[stay], self.past[stay, 2 * m]
+            self.past[stay, slot] = 0.0
+            self.x = x
+            self._advance(slot, gradient, good)
             self.d[stay] = direction
             self.descent = torch.where(good, self.descent, descent)
             # The minimum of the parabola through the refused step, within bounds.
             fit = -0.5 * self.descent * self.t / (change / self.t - self.descent)
             shorter = torch.where(change.isfinite(), fit.clamp(0.1 * self.t, 0.5 * self.t), 0.3 * self.t)
-            self.t = torch.where(good, self._limit(torch.ones_like(self.t)), torch.where(running, shorter, self.t))
+            self.t = torch.where(good, self._whole_step(), torch.where(running, shorter, self.t))
         self.recent = torch.where(good, torch.cat([self.recent[1:], self.energy[None]]), self.recent)
         self.energy = torch.where(good, energy, self.energy)
         self.accepted += good
         self.evaluations += running
         self.status = torch.where(good & done, Status.VALID, self.status)
 
-    def _advance(self, slot: int, x: Tensor, move: Tensor, gradient: Tensor, good: Tensor) -> None:
-        """Take the new point, with its pair in `slot`, and find the direction from there.
+    def _advance(self, slot: int, gradient: Tensor, good: Tensor) -> None:
+        """Take the gradient at the new point, with its pair in `slot`, and find the direction from there.
 
         S'g and Y'g are read off the history once; the products with the new pair follow from
         them and from those at the old point, since y = g_new - g_old.
         """
         m = self.options.history
-        self.past[:, slot] = move
-        torch.sub(gradient, self.g, out=self.past[:, m + slot])
-        self.x, self.g = x, gradient
-        gg = self._sum((gradient * gradient).sum(1))
-        against = self._sum(_batched(gradient[:, None], self.past.mT).squeeze(1)).reshape(-1, 2, m)
-        change = against - self.against
-        self.gram[..., slot] = change
-        self.gram[:, 1, slot] = change[:, 1]
-        sy = against[:, 0, slot] - self.t * self.descent
-        yy = 2 * against[:, 1, slot] - gg + self.gg
-        self.gram[:, 0, slot, slot], self.gram[:, 1, slot, slot] = sy, yy
-        curved = good & (sy > _CURVATURE * yy) & (yy > 0)
-        self.valid[:, slot] = curved
+        torch.sub(gradient, self.past[:, 2 * m], out=self.past[:, m + slot])
+        self.past[:, 2 * m] = gradient
+        against, gg = self._products()
+        order = self._slots.roll(-1 - slot)  # from the oldest pair to the newest
+        sy_new, yy_new = (against - self.against).view(-1, 2, m).index_select(2, order).unbind(1)
+        slope = self.t * self.descent
+        sy = against[:, slot] - slope
+        yy = 2 * against[:, m + slot] - gg + self.gg
+        curved = good & (sy > _CURVATURE * slope.abs()) & (yy > 0)
+        self.valid = torch.cat([self.valid[:, 1:], curved[:, None]], 1)
         self.against, self.gg = against, gg
         self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
         self.gamma = torch.where(self.valid.any(1), self.gamma, self._first_step())
-        weights = self._recursion(slot)
-        self.descent = -(self.gamma * gg + (weights * against.reshape(-1, 2 * m)).sum(1))
+        counted = self.valid & curved[:, None]
+        # The oldest pair goes, the newest comes.
+        self.upper, self.yy = self.upper.roll((-1, -1), (1, 2)), self.yy.roll((-1, -1), (1, 2))
+        self.upper[:, -1] = 0.0
+        self.upper[:, :, -1] = torch.where(counted, sy_new, 0.0)
+        self.upper[:, -1, -1] = torch.where(curved, sy, 1.0)
+        self.yy[:, -1] = self.yy[:, :, -1] = torch.where(counted, yy_new, 0.0)
+        self.yy[:, -1, -1] = torch.where(curved, yy, 0.0)
+        self.d, self.descent = self._direction(self._recursion(order, slot))
         lost = good & ~(self.descent < 0)
         if bool(lost.any()):
-            self.gamma = torch.where(lost, self._first_step(), self.gamma)
-            weights = torch.where(lost[:, None], 0.0, weights)
-            self.valid &= ~lost[:, None]
-            self.descent = torch.where(lost, -self.gamma * gg, self.descent)
-        self.d = _batched(weights.index_select(0, self.owner)[:, None], self.past).squeeze(1)
-        self.d.addcmul_(self._to_blocks(self.gamma), gradient).neg_()
+            self._forget(lost)
+            self.d, self.descent = self._direction(self._recursion(order, slot))
 
-    def _recursion(self, slot: int) -> Tensor:
+    def _forget(self, lost: Tensor) -> None:
+        """Drop the pairs of the problems `lost` (B,) bool."""
+        self.gamma = torch.where(lost, self._first_step(), self.gamma)
+        self.valid = self.valid & ~lost[:, None]
+        self.upper = torch.where(lost[:, None, None], torch.diag_embed((~self.valid).to(self.upper)), self.upper)
+        self.yy = torch.where(lost[:, None, None], 0.0, self.yy)
+
+    def _recursion(self, order: Tensor, slot: int) -> Tensor:
         """(B, 2m) the weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1.
 
-        slot  that of the newest pair
+        order, slot  the slots from the oldest pair to the newest; that of the newest
         """
-        order = self._slots.roll(-1 - slot)  # from the oldest pair to the newest
-        count = self.valid.index_select(1, order).to(self.gg.dtype)
-        gram = self.gram.index_select(2, order).index_select(3, order)
-        gram = gram * (count[:, None, :, None] * count[:, None, None, :])
-        against = self.against.index_select(2, order) * count[:, None]
-        (sy, yy), gamma = gram.unbind(1), self.gamma[:, None, None]
-        upper = sy.triu() + torch.diag_embed(1 - count)
-        w = torch.linalg.solve_triangular(upper, against[:, 0, :, None], upper=True)
-        middle = sy.diagonal(dim1=1, dim2=2)[:, :, None] * w + gamma * (yy @ w - against[:, 1, :, None])
-        a = torch.linalg.solve_triangular(upper.mT, middle, upper=False)
-        both = torch.cat([a, -gamma * w], 2).mT * count[:, None]
-        return both.index_select(2, self._slots.roll(1 + slot)).flatten(1)
+        m = self.options.history
+        against = self.against.view(-1, 2, m).index_select(2, order)
+        against = torch.where(self.valid[:, None], against, 0.0)
+        gamma = self.gamma[:, None, None]
+        w = torch.linalg.solve_triangular(self.upper, against[:, 0, :, None], upper=True)
+        middle = self.upper.diagonal(dim1=1, dim2=2)[:, :, None] * w
+        middle += gamma * (self.yy @ w - against[:, 1, :, None])
+        a = torch.linalg.solve_triangular(self.upper.mT, middle, upper=False)
+        both = torch.cat([a, -gamma * w], 2).mT
+        return torch.where(self.valid[:, None], both, 0.0).index_select(2, self._slots.roll(1 + slot)).flatten(1)
+
+    def _direction(self, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """(K, BLOCK) minus H g, of the `weights` (B, 2m) of the pairs; and (B,) the slope along it."""
+        descent = -(self.gamma * self.gg + (weights * self.against).sum(1))
+        row = -torch.cat([weights, self.gamma[:, None]], 1).to(self.past).index_select(0, self.owner)
+        return _batched(row[:, None], self.past).squeeze(1), descent
+
+    def _products(self) -> tuple[Tensor, Tensor]:
+        """(B, 2m) S'g and Y'g, and (B,) g'g."""
+        m = self.options.history
+        products = self._sum(_batched(self.past[:, 2 * m, None], self.past.mT).squeeze(1).to(self.unit))
+        return products[:, : 2 * m].contiguous(), products[:, 2 * m].contiguous()
 
     def _first_step(self) -> Tensor:
         """(B,) factor of the gradient for a step without history."""
         return self.options.first_step / self.slope.clamp_min(1e-300)
 
-    def _limit(self, t: Tensor) -> Tensor:
-        """Steps (B,), shortened so that no unknown moves further along d than allowed."""
+    def _whole_step(self) -> Tensor:
+        """(B,) one, shortened so that no unknown moves further along d than allowed."""
         longest = torch.segment_reduce(self.d.abs().amax(1), "max", offsets=self.offsets, initial=0.0)
-        return torch.minimum(t, self.options.largest_step / longest.clamp_min(1e-300))
+        return (self.options.largest_step / longest.to(self.unit).clamp_min(1e-300)).clamp_max(1.0)
 
     def _index(self, blocks: Tensor) -> None:
         self.blocks = blocks
@@ -302,11 +335,20 @@ class _Run:
         return torch.segment_reduce(per_block, "sum", offsets=self.offsets, axis=0, initial=0.0)
 
 
+def _unit(slope: Tensor) -> Tensor:
+    """(B,) the power of two that makes a gradient's root mean square one of the upper numbers of single precision.
+
+    So the products of gradients up to 2^30 times as large are finite, and down to 2^-90 of it not zero.
+    """
+    exponent = (30 - torch.frexp(slope).exponent).clamp(-90, 90)
+    return torch.where(slope > 0, torch.ldexp(torch.ones_like(slope), exponent), 1.0)
+
+
 def _batched(left: Tensor, right: Tensor) -> Tensor:
     """`torch.bmm` with the same bits for a matrix alone as among others: a batch of one goes another way in torch.
 
     A row times matrices, never matrices times a column: that way is four times slower.
     """
-    if len(left) > 1:
+    if len(left) != 1:
         return torch.bmm(left, right)
     return torch.bmm(left.expand(2, -1, -1), right.expand(2, -1, -1))[:1]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from .energies import Energy, Target, chunk_borders, energy_and_forces, select_rows
+from .energies import Energy, Target, chunk_borders, edges_of, energy_and_forces, select_rows
 from .lbfgs import BLOCK
 from .segments import (
     counts_from_offsets,
@@ -29,7 +29,9 @@ class Packing:
     """The free part of a batch as one vector.
 
     Coordinates are counted from each mesh's centre in a power of two near its extent, so that no
-    constant anywhere depends on the user's unit or origin.
+    constant anywhere depends on the user's unit or origin.  Or they are displacements in that unit, in
+    single precision: then `edges` says from where, and an edge keeps its digits however far from the
+    centre, though it takes half the memory.
 
     unknowns          (N,) free coordinates, padded to whole blocks with zeros
     anchored          (F,) coordinates of the vertices that stay
@@ -41,6 +43,7 @@ class Packing:
     triangle_offsets  (B+1,) int64 over `triangles`
     centre, unit      (B, 2) and (B,) float64, origin and length unit of each mesh's coordinates
     point_mesh        (M,) int64, the mesh of each free vertex
+    edges             (4, T) float32, x and y of b - a and of c - a undisplaced; None: coordinates are no displacements
     """
 
     unknowns: Tensor
@@ -55,6 +58,7 @@ class Packing:
     centre: Tensor
     unit: Tensor
     point_mesh: Tensor
+    edges: Tensor | None = None
 
     def spread_vertices(self, values: Tensor) -> Tensor:
         """(V,) one value a vertex to (N,) one an unknown, zero in the padding."""
@@ -67,10 +71,12 @@ class Packing:
         moved = points.clone()
         unit, centre = self.unit[self.point_mesh], self.centre[self.point_mesh]
         for axis, rows in enumerate((self.x_rows, self.y_rows)):
-            there = torch.addcmul(centre[:, axis], unknowns[rows], unit).to(points)
+            now, before = unknowns.index_select(0, rows), points[self.vertices, axis]
+            origin = centre[:, axis] if self.edges is None else before.to(unit)
+            there = torch.addcmul(origin, now.to(unit), unit).to(points)
             # What did not move keeps its bits, which centring and back may not.
-            still = unknowns[rows] == self.unknowns[rows]
-            moved[self.vertices, axis] = torch.where(still, points[self.vertices, axis], there)
+            still = now == self.unknowns.index_select(0, rows)
+            moved[self.vertices, axis] = torch.where(still, before, there)
         return moved
 
 
@@ -85,8 +91,16 @@ def centre_and_unit(points: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tens
     return low + half, torch.where(extent > 0, unit, 1.0)
 
 
-def pack(points: Tensor, triangles: Tensor, free: Tensor, point_offsets: Tensor, triangle_offsets: Tensor) -> Packing:
-    """Pack the `free` (V,) bool vertices and the triangles that touch them; float64 inside."""
+def pack(
+    points: Tensor,
+    triangles: Tensor,
+    free: Tensor,
+    point_offsets: Tensor,
+    triangle_offsets: Tensor,
+    displacements: bool = False,
+) -> Packing:
+    """Pack the `free` (V,) bool vertices and the triangles that touch them; coordinates in float64, or displacements
+    in float32."""
     device = points.device
     centre, unit = centre_and_unit(points, point_offsets)
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
@@ -122,10 +136,15 @@ def pack(points: Tensor, triangles: Tensor, free: Tensor, point_offsets: Tensor,
     ordinal = torch.arange(len(anchors), dtype=torch.int32, device=device)
     place_x[anchors], place_y[anchors] = size + ordinal, size + len(anchors) + ordinal
     rows = torch.stack([gather(place, 0, v) for v in corner for place in (place_x, place_y)])
+    edges = None
+    if displacements:
+        (ax, ay), *ends = ((gather(x, 0, v), gather(y, 0, v)) for v in corner)
+        edges = torch.stack([e.to(torch.float32) for bx, by in ends for e in (bx - ax, by - ay)])
+        unknowns, anchored = (torch.zeros_like(v, dtype=torch.float32) for v in (unknowns, anchored))
     return Packing(
         unknowns, anchored, rows, x_rows, y_rows, vertices, kept, block_offsets,
         offsets_from_counts(segment_count(touched, triangle_offsets)), centre, unit,
-        segment_ids(row_offsets),
+        segment_ids(row_offsets), edges,
     )  # fmt: skip
 
 
@@ -134,6 +153,7 @@ class MeshObjective:
     """The sum of an energy over each mesh's packed triangles, as an `lbfgs.Objective`.
 
     enough  a mesh is done as soon as each of its packed triangles has det > this; None: never
+    edges   of the packing
     """
 
     energy: Energy
@@ -144,11 +164,14 @@ class MeshObjective:
     triangle_offsets: Tensor
     scale: Tensor
     enough: float | None = None
+    edges: Tensor | None = None
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         coordinates = torch.cat([unknowns, self.anchored])
-        phi, gradient, det = energy_and_forces(coordinates, self.rows, self.energy, self.target, self.borders)
-        energy = segment_sum(phi, self.triangle_offsets)
+        phi, gradient, det = energy_and_forces(
+            coordinates, self.rows, self.energy, self.target, self.borders, self.edges
+        )
+        energy = segment_sum(phi.to(torch.float64), self.triangle_offsets)
         if self.enough is None:
             done = torch.zeros_like(energy, dtype=torch.bool)
         else:
@@ -162,8 +185,8 @@ class MeshObjective:
 
     def det(self, unknowns: Tensor) -> Tensor:
         """(T,) det J of the packed triangles."""
-        ax, ay, bx, by, cx, cy = torch.cat([unknowns, self.anchored])[self.rows.long()]
-        return self.target.m * ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+        e1x, e1y, e2x, e2y = edges_of(torch.cat([unknowns, self.anchored]), self.rows, self.edges)
+        return self.target.m * (e1x * e2y - e1y * e2x)
 
     def select(self, keep: Tensor) -> "MeshObjective":
         blocks = counts_from_offsets(self.block_offsets)
@@ -181,4 +204,5 @@ class MeshObjective:
             block_offsets=offsets_from_counts(blocks[keep]),
             triangle_offsets=offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep]),
             scale=self.scale[kept],
+            edges=None if self.edges is None else self.edges[:, faces],
         )

@@ -34,6 +34,8 @@ class SmoothOptions:
     targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
                       one a triangle of the batch (`target_from`); or a `MetricField` (`metric_from`)
     corner_angle      degrees; where such a curve turns by more, the vertex is a corner and stays
+    single            compute displacements in single precision, which is faster and good for rough work on
+                      triangles that are not slivers; not with sliding or targets
     """
 
     power: int = 2
@@ -44,6 +46,7 @@ class SmoothOptions:
     boundary: Literal["fixed", "slide"] = "fixed"
     corner_angle: float = 40.0
     targets: Targets | None = field(default=None, compare=False)
+    single: bool = False
 
     def __post_init__(self) -> None:
         if self.power < 1:
@@ -110,7 +113,8 @@ def smooth(
     may_move = ~stays & ~spread(refused, batch.point_offsets)
     if free is not None:
         may_move &= free
-    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
+    single = options.single and rails is None and options.targets is None
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single)
     objective = MeshObjective(
         InverseMeanRatio(options.power, options.ceiling),
         equilateral(),
@@ -119,6 +123,7 @@ def smooth(
         packing.block_offsets,
         packing.triangle_offsets,
         packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
+        edges=packing.edges,
     )
     if options.targets is not None:
         objective = aim(objective, batch, packing, options.targets)
