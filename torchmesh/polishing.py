@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,7 +25,15 @@ from .delaunay import constrained_half_edges
 from .flipping import Quads, edge_exists, new_signs
 from .mesh import MeshBatch, corners_of, join, touching, triangle_mesh
 from .quality import Quality, quality
-from .segments import counts_from_offsets, offsets_from_counts, segment_max, segment_min, segment_sum, spread
+from .segments import (
+    counts_from_offsets,
+    offsets_from_counts,
+    segment_count,
+    segment_max,
+    segment_min,
+    segment_sum,
+    spread,
+)
 from .smoothing import SmoothOptions, smooth
 from .triangle import SQRT3, corners, inverse_mean_ratio
 
@@ -64,18 +73,28 @@ class PolishInfo:
 
 
 class _Level(NamedTuple):
-    """How hard a patch is tried: its rings of free vertices, flips in a row, of edges at the worst triangle only?"""
+    """How hard a patch is tried.
+
+    rings  of free vertices in it
+    flips  in a row
+    near   only of edges that end at the worst triangle?
+    most   bad triangles of a mesh that is worked on so hard, and as a part of its triangles, the larger of both
+    """
 
     rings: int
     flips: int
     near: bool
+    most: tuple[int, float]
 
 
-_LEVELS = (_Level(2, 1, True), _Level(3, 2, True))
+_LEVELS = (_Level(2, 1, True, (8, 0.01)), _Level(3, 2, True, (6, 0.001)), _Level(3, 2, False, (2, 0.0)))
 # First flips of a patch that are followed by a second.
 _FINALISTS = 4
 # Degrees that a patch must win to be worth a round, and as much of the inverse mean ratio.
-_GAIN, _GAIN_OF_RATIO = 0.05, 0.005
+_GAIN, _GAIN_OF_RATIO = 0.2, 0.005
+# Where the boundary sets a limit below what is asked, this part of it is enough.
+_OF_LIMIT = 0.95
+_MOST_IN_A_FAN = 24
 # Degrees above what is asked for that count: at the threshold itself rounding would tell.
 _MARGIN = 0.1
 
@@ -84,8 +103,10 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
     """Better the worst triangles of valid meshes by flips and moves of the vertices next to them.
 
     Vertices keep number and order, fixed ones their place; boundary and constrained edges stay.  Meshes without
-    a triangle beyond `angle` or `ratio`, and those with inverted triangles, come back bit for bit.  No
-    mesh's smallest angle gets smaller, nor its largest inverse mean ratio larger.
+    a triangle beyond `angle` or `ratio`, and those with inverted triangles, come back bit for bit, as do those of
+    which more than one in a hundred is bad, and no fault of the boundary's: they want other means.  No
+    mesh's smallest angle gets smaller, nor the number of its triangles beyond `angle` or `ratio` larger; its largest
+    inverse mean ratio may grow up to `ratio`, but never beyond both that and what it was.
     """
     options = options or PolishOptions()
     none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
@@ -151,6 +172,15 @@ class _Polishing:
             batch.frames,
         )
         self.stuck = torch.zeros(len(self.faces), dtype=torch.bool, device=bad.device)
+        self.limit = _fan_limits(self.part, self.complete)
+
+    @property
+    def asked(self) -> Tensor:
+        """(T',) radians: the angle below which a triangle is bad, which may be less where the boundary sets a limit."""
+        a, b, c = (self.limit.index_select(0, v.contiguous()) for v in self.part.triangles.unbind(1))
+        limit = torch.minimum(a, torch.minimum(b, c))
+        wanted = math.radians(self.options.angle)
+        return torch.where(limit < wanted, _OF_LIMIT * limit, wanted)
 
     def whole(self) -> MeshBatch:
         """The batch with what was bettered in its place."""
@@ -161,11 +191,16 @@ class _Polishing:
 
     def run(self, level: _Level) -> None:
         """Rounds of this level until every bad triangle is good or was tried in vain."""
+        most = (level.most[1] * counts_from_offsets(self.batch.triangle_offsets)).clamp_min(level.most[0])
         self.stuck = torch.zeros_like(self.stuck)
-        for _ in range(self.options.max_rounds):
+        for turn in range(self.options.max_rounds):
             t = corners(self.part.points.to(torch.float64), self.part.triangles)
-            angle, ratio = triangle.minimum_angle(t), inverse_mean_ratio(t)
-            bad = _is_bad(angle, ratio, self.options) & ~self.stuck
+            angle = triangle.minimum_angle(t)
+            bad = ((angle < self.asked) | (inverse_mean_ratio(t) > self.options.ratio)) & ~self.stuck
+            if not turn:
+                many = segment_count(bad, self.part.triangle_offsets) > most
+                self.stuck |= spread(many, self.part.triangle_offsets)
+                bad &= ~self.stuck
             if not bool(bad.any()):
                 break
             self._round(_seeds(self.part, bad, angle, 2 * level.rings), level)
@@ -175,7 +210,7 @@ class _Polishing:
         patches = _Patches.round(part, seeds, level.rings, self.complete)
         given = patches.mesh
         best, flips = _best_of(patches, level, self.options)
-        before, after = _Worst.of(given), _Worst.of(best)
+        before, after = (_Worst.of(mesh, self.options) for mesh in (given, best))
         good = after.betters(before, self.options)
         # Back into their rows: vertices that do not move stand in more than one patch.
         rows = spread(good, given.point_offsets) & ~given.fixed
@@ -189,6 +224,37 @@ class _Polishing:
         owner = triangle_mesh(part)[seeds[good]]
         self.patches += torch.bincount(owner, minlength=len(part))
         self.flips.index_add_(0, owner, flips[good])
+
+
+def _fan_limits(part: MeshBatch, complete: Tensor) -> Tensor:
+    """(V,) radians: no triangulation has all angles at the boundary vertex above this; infinite elsewhere.
+
+    A fan of k triangles fills the angle alpha between boundary edges of lengths a and b.  Its triangles have angles
+    t and ratios r of sides, and none below theta where t >= theta and |log r| <= log(sin(t + theta) / sin(theta)),
+    a convex set in (t, log r); so the best fan is the one of equal triangles, and its k is the best of all.
+    complete  (V,) bool, all triangles at the vertex are there
+    """
+    limit = torch.full((len(part.points),), torch.inf, dtype=torch.float64, device=complete.device)
+    twin = twins(part.triangles)
+    out = (twin < 0).nonzero().squeeze(1)
+    vertex = part.triangles.reshape(-1)
+    number = torch.bincount(vertex[out], minlength=len(limit))
+    onto = torch.zeros_like(number)
+    onto[vertex[next_in_triangle(out)]] = vertex[out]
+    out = out[(complete & (number == 1))[vertex[out]]]
+    here = vertex[out]
+    points = part.points.to(torch.float64).cpu().numpy()
+    p, q, o = (points[v.cpu().numpy()] for v in (vertex[next_in_triangle(out)], onto[here], here))
+    # Of numpy, where the bits of a result do not depend on its place in the vector.
+    (ux, uy), (vx, vy) = (p - o).T, (q - o).T
+    turn = np.arctan2(ux * vy - uy * vx, ux * vx + uy * vy)
+    alpha = np.where(turn > 0, turn, turn + 2 * np.pi)[:, None]
+    ratio = 0.5 * np.abs(np.log(ux * ux + uy * uy) - np.log(vx * vx + vy * vy))[:, None]
+    k = np.arange(1, _MOST_IN_A_FAN + 1)
+    t = alpha / k
+    least = np.where(t < np.pi, np.minimum(t, np.arctan2(np.sin(t), np.exp(ratio / k) - np.cos(t))), 0.0)
+    limit[here] = torch.from_numpy(least.max(1, initial=0.0)).to(limit.device)
+    return limit
 
 
 def _seeds(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
@@ -263,20 +329,22 @@ class _Patches:
 
 
 class _Worst(NamedTuple):
-    """Per mesh (B,): smallest angle in radians, largest inverse mean ratio, sum of their squares; valid (B,) bool."""
+    """Per mesh (B,): smallest angle in radians, largest inverse mean ratio, sum of their squares, bad triangles."""
 
     angle: Tensor
     ratio: Tensor
     energy: Tensor
+    bad: Tensor
 
     @classmethod
-    def of(cls, batch: MeshBatch) -> "_Worst":
+    def of(cls, batch: MeshBatch, options: PolishOptions) -> "_Worst":
         t, offsets = corners(batch.points.to(torch.float64), batch.triangles), batch.triangle_offsets
-        ratio = inverse_mean_ratio(t)
+        angle, ratio = triangle.minimum_angle(t), inverse_mean_ratio(t)
         return cls(
-            segment_min(triangle.minimum_angle(t), offsets),
+            segment_min(angle, offsets),
             segment_max(ratio, offsets),
             segment_sum(ratio.square(), offsets),
+            segment_count(_is_bad(angle, ratio, options), offsets),
         )
 
     def lack(self, options: PolishOptions) -> Tensor:
@@ -285,10 +353,14 @@ class _Worst(NamedTuple):
         return ((angle - self.angle) / angle).clamp_min(0) + (self.ratio / options.ratio - 1).clamp_min(0)
 
     def betters(self, before: "_Worst", options: PolishOptions) -> Tensor:
-        """(B,) bool: no worse in angle nor ratio, and nearer in one to what is asked."""
+        """(B,) bool: no worse in angle, ratio or number of bad triangles, and nearer in one to what is asked.
+
+        For all that is asked of angles the ratio may be what is asked of ratios.
+        """
         wider = self.angle - before.angle > _GAIN * (torch.pi / 180)
         rounder = (before.ratio > options.ratio) & (before.ratio - self.ratio > _GAIN_OF_RATIO)
-        return (wider | rounder) & (self.angle >= before.angle) & (self.ratio <= before.ratio)
+        no_worse = (self.angle >= before.angle) & (self.ratio <= before.ratio) & (self.bad <= before.bad)
+        return ((wider | rounder) & no_worse) | (wider & (self.lack(options) == 0))
 
 
 def _best_of(patches: _Patches, level: _Level, options: PolishOptions) -> tuple[MeshBatch, Tensor]:
@@ -301,13 +373,13 @@ def _best_of(patches: _Patches, level: _Level, options: PolishOptions) -> tuple[
         members, of_member, flipped = _flipped(start, complete, seed if level.near else None)
         patch = of_start[of_member]
         members, _ = smooth(members, options.smooth)
-        few = _first_of_each(patch, _Worst.of(members), len(given), _FINALISTS, options)
+        few = _first_of_each(patch, _Worst.of(members, options), len(given), _FINALISTS, options)
         start, of_start = members.select(few), patch[few]
         found.append(start)
         of_found.append(of_start)
         flips_of_found.append(depth + flipped[few].long())
     every, owner, flips = join(found), torch.cat(of_found), torch.cat(flips_of_found)
-    chosen = _first_of_each(owner, _Worst.of(every), len(given), 1, options).nonzero().squeeze(1)
+    chosen = _first_of_each(owner, _Worst.of(every, options), len(given), 1, options).nonzero().squeeze(1)
     chosen = chosen[owner[chosen].argsort(stable=True)]
     return _picked(every, chosen, given), flips[chosen]
 
