@@ -332,6 +332,49 @@ def test_improve_slides_flips_and_certifies(name, topology):
     assert torch.equal(better.points[stays], mesh.points[stays])
 
 
+@pytest.mark.parametrize("name", list(TANGLED))
+def test_vertices_slide_on_after_remeshing(name):
+    mesh = TANGLED[name]()
+    better, report = improve(mesh, ImproveOptions(boundary="slide", topology="full"))
+    _, of_held = improve(mesh, ImproveOptions(topology="full"))
+    assert report.certified.tolist() == [True]
+    assert inverted(better) == 0
+    assert float(report.quality.mean) < 1.02 * float(of_held.quality.mean)
+    assert float(total_area(better)) == pytest.approx(float(total_area(mesh)), rel=1e-14)
+    new_row = report.vertex_map.old_to_new
+    # Boundary and interface edges are the given ones, by their new rows.
+    assert (new_row[mesh.fixed] >= 0).all()
+    moved = {frozenset(new_row[torch.tensor(e)].tolist()) for e in network(mesh).tolist()}
+    assert {frozenset(e) for e in network(better).tolist()} == moved
+    # Corners stay; sliding vertices are where the same curve has them, or as near as its area allows.
+    stays = mesh.fixed & ~rails_of(mesh).may_slide(mesh.point_offsets)
+    assert torch.equal(better.points[new_row[stays]], mesh.points[stays])
+    slid = (better.points[new_row[mesh.fixed]] != mesh.points[mesh.fixed]).any()
+    assert bool(slid) == bool(rails_of(mesh).slides.any())
+
+
+def test_rails_follow_their_vertices_to_other_rows():
+    batch = join([rectangle(), polar()])
+    rails = rails_of(batch)
+    # A vertex more in front of each mesh.
+    owner = torch.bucketize(torch.arange(len(batch.points)), batch.point_offsets[1:], right=True)
+    new_row = torch.arange(len(batch.points)) + owner + 1
+    after = batch.point_offsets + torch.arange(3)
+    moved = rails.renumbered(new_row, batch.point_offsets, after)
+    assert torch.equal(moved.rows(after), new_row[rails.rows(batch.point_offsets)])
+    assert torch.equal(moved.vertex, rails.vertex + 1)
+    assert torch.equal(moved.parameter, rails.parameter)
+
+
+def test_full_with_sliding_in_a_batch_is_full_alone():
+    parts = [rectangle(), TANGLED["jittered"](), meshes.l_shape(3)]
+    options = ImproveOptions(boundary="slide", topology="full")
+    for mesh, together in zip(parts, improve(join(parts), options)[0].split(), strict=True):
+        alone, _ = improve(mesh, options)
+        assert torch.equal(alone.points, together.points)
+        assert torch.equal(alone.triangles, together.triangles)
+
+
 def test_improve_holds_what_it_is_told():
     mesh = TANGLED["moved hole"]()
     hold = mesh.points[:, 0] < 3
@@ -377,6 +420,10 @@ def test_the_smoothing_options_slide_in_improve_too_and_set_the_corners():
             lambda: SmoothOptions(corner_angle=200),
         ),
         ("ImproveOptions.boundary must be 'fixed' or 'slide', not 'move'", lambda: ImproveOptions(boundary="move")),
+        (
+            "exclude each other: a boundary edge is halved on its chord",
+            lambda: ImproveOptions(boundary="slide", topology="full", remesh=tm.RemeshOptions(split_boundary=True)),
+        ),
     ],
 )
 def test_bad_options_are_named(match, make):

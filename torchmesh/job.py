@@ -16,7 +16,6 @@ from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
-from .lbfgs import LbfgsOptions
 from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
 from .options import ImproveOptions
 from .pockets import untangle_batch_by_pockets
@@ -31,16 +30,13 @@ from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
 from .targets import MetricField, narrow
+from .unscrambling import unscramble
 from .untangling import UntangleOptions, untangle
-from .warping import femwarp, relax
+from .warping import femwarp
 
 # Rounds of flips between two goes of untangling: the first flips do most, the last ones have tangles
 # as their only guide.
 _FLIP_ROUNDS = 2
-
-# The paper's loop stands still after so many rounds without a flip whose minimisation ended in the fewest
-# iterations there are.
-_QUIET_ROUNDS, _AT_REST = 4, LbfgsOptions().patience
 
 # A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
 _STILL = 0.02
@@ -62,6 +58,8 @@ class Job:
     ) -> None:
         self.given = self.batch = batch
         self.rails = rails_of(batch, options.smooth.corner_angle, hold) if options.slides else None
+        # (V,) bool: the fixed vertices that do not slide either.
+        self.stays = batch.fixed if self.rails is None else batch.fixed & ~self.rails.may_slide(batch.point_offsets)
         self.options, self.progress, self.observe = options, progress, observe
         self.quality = quality(batch)
         self._twin: Tensor | None = None
@@ -74,12 +72,6 @@ class Job:
         self._log("initial", everything, 0.0, none, none, none, everything)
 
     @property
-    def stays(self) -> Tensor:
-        """(V,) bool: the fixed vertices that do not slide either."""
-        fixed = self.given.fixed
-        return fixed if self.rails is None else fixed & ~self.rails.may_slide(self.given.point_offsets)
-
-    @property
     def tangled(self) -> Tensor:
         """(B,) bool: the mesh has a triangle that is not upright, and there is still hope for it."""
         return (self.quality.inverted > 0) & (self.status == Status.RUNNING)
@@ -87,22 +79,19 @@ class Job:
     def paper(self) -> None:
         """Kim 2017, figure 2."""
         best = self.quality.inverted
-        since, quiet = torch.zeros_like(best), torch.zeros_like(best)
+        since = torch.zeros_like(best)
         # Flips may open a way where minimising alone stood still; without them nothing would change.
         patience = 10 if self.options.topology != "keep" else 1
         for turn in range(self.options.untangle_rounds):
             if not bool(self.tangled.any()):
                 break
-            flips = torch.zeros_like(best)
             if self.options.topology != "keep":
-                flips = self._flip("flip", self.tangled, FlipOptions.paper())
-            iterations = self._untangle("untangle-beta", self.tangled, self._turn(turn))
-            # No flip, and a minimum already: once more would be the same again.
-            quiet = torch.where((flips == 0) & (iterations <= _AT_REST), quiet + 1, 0)
+                self._flip("flip", self.tangled, FlipOptions.paper())
+            self._untangle("untangle-beta", self.tangled, self._turn(turn))
             short = self._turn(turn).max_iterations < self.options.untangle.max_iterations
             since = torch.where((self.quality.inverted < best) | short, 0, since + 1)
             best = torch.minimum(best, self.quality.inverted)
-            self.status[self.tangled & ((since >= patience) | (quiet >= _QUIET_ROUNDS))] = Status.STALLED
+            self.status[self.tangled & (since >= patience)] = Status.STALLED
         self.status[self.tangled] = Status.ITERATION_LIMIT
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
@@ -136,7 +125,7 @@ class Job:
             self._try(
                 "femwarp", self.given, lambda part: (femwarp(replace(known, fixed=part.fixed), part.points), None)
             )
-        self._try("relax", self.given, lambda part: (relax(part), None))
+        self._try("relax", self.given, lambda part: (unscramble(part), None))
         relaxed = self.batch
         if may_flip:
             best, since = self.quality.inverted, torch.zeros_like(self.quality.inverted)
@@ -147,9 +136,8 @@ class Job:
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
             self._try("pockets", self.batch, untangle_batch_by_pockets)
-        self._regularised(self.given, UntangleOptions())
-        elsewhere = segment_any((relaxed.points != self.given.points).any(1), self.given.point_offsets)
-        self._regularised(relaxed, UntangleOptions(size_sweeps=(100,)), elsewhere)
+        for origin, options in ((self.given, UntangleOptions()), (relaxed, UntangleOptions(size_sweeps=(100,)))):
+            self._regularised(origin, options)
         self.status[self.tangled] = Status.STALLED
 
     def refine(self) -> None:
@@ -222,6 +210,12 @@ class Job:
                 work.improve(at)
                 self._twin = None
                 done(work.batch, flips=work.flips[at])
+            if self.rails is not None:
+                new_row = work.names.vertex_map().old_to_new
+                self.rails = self.rails.renumbered(new_row, self.given.point_offsets, self.batch.point_offsets)
+                self._smooth("smooth", at, self.options.smooth)
+                self._flip("flip", at, FlipOptions(rule="shape"))
+                self._smooth("smooth", at, self.options.smooth)
             self.polish()
             work.batch = self.batch
         self.remeshed = work.info()
@@ -238,22 +232,11 @@ class Job:
     def report(self) -> Report:
         """The certificate and the log."""
         valid = self.quality.inverted == 0
-        messages = [self._message(b, Status(status)) for b, status in enumerate(self.status.tolist())]
+        messages = [self.messages.get(b, Status(int(status)).message) for b, status in enumerate(self.status.tolist())]
         certified = valid & same_frame(
             self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map
         )
         return Report(self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed)
-
-    def _message(self, b: int, status: Status) -> str:
-        """Why mesh `b` ended."""
-        text, left = self.messages.get(b, status.message), self.steps[b][-1].inverted
-        if status not in (Status.STALLED, Status.ITERATION_LIMIT) or not left:
-            return text
-        tried = dict.fromkeys(step.stage for step in self.steps[b][1:])
-        text = f"{text}; {left} inverted triangles are left after {', '.join(tried)}"
-        if self.options.topology == "keep":
-            text += ": these triangles may have no valid places; topology 'flip' may change their edges"
-        return text
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions, near: Tensor | None = None) -> Tensor:
         """Flip in the meshes `at`, at the vertices `near` (V,) bool to begin with; returns the flips (B,)."""
@@ -275,16 +258,12 @@ class Job:
             self._twin = connectivity.twins(self.batch.triangles)
         return select_twins(self.batch, self._twin, at)
 
-    def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> Tensor:
-        """Move the vertices of the meshes `at`; returns the iterations (B,)."""
-        iterations = torch.zeros_like(self.status)
+    def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> None:
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
                 part, info = untangle(part, options, monitor=self._monitor(stage, at))
-                iterations[at] = info.iterations
                 done(part, iterations=info.iterations)
-        return iterations
 
     def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, near: Tensor | None = None) -> None:
         """Smooth the meshes `at`; only the vertices `near` (V,) bool move."""
@@ -299,14 +278,9 @@ class Job:
                     self.rails = self.rails.put(at, info.rails)
                 done(part, iterations=info.iterations)
 
-    def _try(
-        self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple], among: Tensor | None = None
-    ) -> None:
-        """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now.
-
-        among  (B,) bool, these meshes only
-        """
-        at = self.tangled if among is None else self.tangled & among
+    def _try(self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple]) -> None:
+        """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now."""
+        at = self.tangled
         if not bool(at.any()):
             return
         with self._stage(stage, at) as done:
@@ -321,11 +295,10 @@ class Job:
             )
             self._twin = None
 
-    def _regularised(self, origin: MeshBatch, options: UntangleOptions, among: Tensor | None = None) -> None:
+    def _regularised(self, origin: MeshBatch, options: UntangleOptions) -> None:
         reference = self.options.reference
-        at = self.tangled if among is None else self.tangled & among
-        known = None if reference is None else reference.select(at)
-        self._try("regularised", origin, lambda part: untangle(part, options, reference=known), at)
+        known = None if reference is None else reference.select(self.tangled)
+        self._try("regularised", origin, lambda part: untangle(part, options, reference=known))
 
     @contextmanager
     def _stage(self, stage: str, at: Tensor) -> Iterator[Callable[..., None]]:

@@ -66,8 +66,12 @@ class ImproveOptions:
             raise ValueError("ImproveOptions.topology='full' needs method 'default': the paper keeps every vertex")
         if self.boundary not in ("fixed", "slide"):
             raise ValueError(f"ImproveOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
-        if self.slides and self.topology not in ("keep", "flip"):
-            raise ValueError(f"ImproveOptions.boundary='slide' needs topology 'keep' or 'flip', not {self.topology!r}")
+        if self.slides and self.topology == "full" and self.remesh.split_boundary:
+            raise ValueError(
+                "ImproveOptions.boundary='slide' and remesh.split_boundary exclude each other: a boundary edge is "
+                "halved on its chord, beside the curve along which its ends slide. Let the one be done first, "
+                "then the other"
+            )
         check_topology(self.smooth.targets, self.topology)
         if self.workers is not None and self.workers < 1:
             raise ValueError(f"ImproveOptions.workers must be at least 1, not {self.workers}")

@@ -166,6 +166,14 @@ class Rails:
         lengths = {name: getattr(self, name) / w for name in ("period", "place", "height", "parameter")}
         return replace(self, knots=(self.knots - c) / w[:, None], **lengths)
 
+    def renumbered(self, new_row: Tensor, before: Tensor, after: Tensor) -> "Rails":
+        """The same rails and stations where the batch's vertices have other rows.
+
+        new_row        (V_old,) int64 the row that each vertex has now
+        before, after  (B+1,) the point offsets of then and now
+        """
+        return replace(self, vertex=new_row[self.rows(before)] - spread(after[:-1], self.offsets))
+
     def select(self, keep: Tensor) -> "Rails":
         """The rails of the meshes whose keep (B,) is true."""
         kept = spread(keep, self.offsets)
