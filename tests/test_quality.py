@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import meshes
@@ -110,3 +111,22 @@ def test_shapes_do_not_depend_on_the_unit_of_length(exponent):
     for name in ("inverse_mean_ratio", "upright", "mean", "max", "inverted"):
         assert torch.equal(getattr(quality(scaled), name), getattr(quality(mesh), name))
     assert torch.equal(minimum_angle(scaled), minimum_angle(mesh))
+
+
+@pytest.mark.parametrize("moved", [0, 1, 3, 200])
+@pytest.mark.parametrize("turned", [0, 2])
+def test_what_changed_is_measured_and_the_rest_is_known(moved, turned, rng):
+    before = join(list(ALL.values()))
+    points, triangles = before.points.clone(), before.triangles.clone()
+    points[torch.from_numpy(rng.permutation(len(points))[:moved])] += 0.05
+    triangles[:turned] = triangles[:turned, [0, 2, 1]]
+    after = before.with_points(points).with_triangles(triangles)
+    known, plain = quality(after, known=(before, quality(before))), quality(after)
+    for field in dataclasses.fields(known):
+        assert torch.equal(getattr(known, field.name), getattr(plain, field.name))
+
+
+def test_a_quality_known_of_other_triangles_is_no_use():
+    before, after = list(meshes.VALID.values())[:2]
+    known = quality(after, known=(before, quality(before)))
+    assert torch.equal(known.inverse_mean_ratio, quality(after).inverse_mean_ratio)

@@ -158,11 +158,12 @@ def improve_by_excerpts(batch: MeshBatch, work: Work, observe: Observe | None = 
         observe("whole" if stage == "initial" else stage, put(result, again, part))
 
     part, second = work(batch.select(again), None if observe is None else watch_again)
-    return put(result, again, part), _amended(report, again, batch.triangle_offsets, second)
+    merged = put(result, again, part)
+    return merged, replace(_amended(report, again, second), quality=quality(merged, known=(result, report.quality)))
 
 
-def _amended(first: Report, again: Tensor, triangle_offsets: Tensor, second: Report) -> Report:
-    """The `first` report, with the meshes `again` (B,) bool as the `second` found them."""
+def _amended(first: Report, again: Tensor, second: Report) -> Report:
+    """The `first` report but for its quality, with the meshes `again` (B,) bool as the `second` found them."""
     steps, messages = list(first.steps), list(first.messages)
     for i, b in enumerate(again.nonzero().squeeze(1).tolist()):
         start, *rest = second.steps[i]
@@ -171,8 +172,7 @@ def _amended(first: Report, again: Tensor, triangle_offsets: Tensor, second: Rep
     columns = {name: getattr(first, name).clone() for name in ("status", "valid", "certified", "moved")}
     for name, column in columns.items():
         column[again] = getattr(second, name)
-    q = first.quality.put(again, triangle_offsets, second.quality)
-    return replace(first, quality=q, steps=steps, messages=messages, **columns)
+    return replace(first, steps=steps, messages=messages, **columns)
 
 
 def excerpts(batch: MeshBatch) -> Excerpts | None:

@@ -51,6 +51,10 @@ class Job:
     def __init__(
         self,
         batch: MeshBatch,
+# The worst inverse mean ratio of a mesh whose energies are left to single precision.
+_COARSE = 100.0
+
+
         options: ImproveOptions,
         progress: Callable[[Progress], None] | None,
         observe: Callable[[str, MeshBatch], None] | None = None,
@@ -146,7 +150,7 @@ class Job:
         # A few triangles that are all but flat drown the others in q^2, and more so in its ceiling.
         slivers = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
         self._smooth("smooth", going & (self.quality.max > _SLIVER), slivers)
-        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=10, energy_tolerance=1e-3)
+        rough = SmoothOptions(power=self.options.smooth.power, max_iterations=10, energy_tolerance=1e-3, single=True)
         if self.options.topology != "keep":
             size = vertex_size(self.batch)
             lively = torch.ones_like(self.batch.fixed)
@@ -293,6 +297,11 @@ class Job:
                 pockets=getattr(info, "pockets", None),
                 kept=better,
             )
+        if options.single:
+            # In eighth powers, slivers leave the range of single precision.
+            slivers = at & (self.quality.max > _COARSE)
+            self._smooth(stage, slivers, replace(options, single=False), near)
+            at = at & ~slivers
             self._twin = None
 
     def _regularised(self, origin: MeshBatch, options: UntangleOptions) -> None:
@@ -317,8 +326,8 @@ class Job:
         ) -> None:
             if twin is not None and self._twin is not None:
                 self._twin = put_twins(self.batch, self._twin, at, twin)
-            self.batch = put(self.batch, at, part)
-            self.quality = self.quality.put(at, self.batch.triangle_offsets, quality(part))
+            before, self.batch = self.batch, put(self.batch, at, part)
+            self.quality = quality(self.batch, known=(before, self.quality))
             seconds = time.perf_counter() - started
             every = torch.ones_like(none, dtype=torch.bool)
             counts = [none if c is None else c for c in (flips, iterations, pockets)]

@@ -45,9 +45,11 @@ class ImproveOptions:
     method: Literal["default", "paper"] = "default"
     topology: Literal["keep", "flip", "full"] = "flip"
     untangle: UntangleOptions = field(
-        default_factory=lambda: UntangleOptions("beta", beta=0.6, local=True, reach=6, max_iterations=25)
+        default_factory=lambda: UntangleOptions("beta", beta=0.6, local=True, reach=6, max_iterations=25, single=True)
     )
-    smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-3))
+    smooth: SmoothOptions = field(
+        default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-3, single=True)
+    )
     untangle_rounds: int = 3
     smooth_rounds: int = 15
     boundary: Literal["fixed", "slide"] = "fixed"

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from . import triangle
-from .mesh import MeshBatch
+from .mesh import MeshBatch, touching
 from .predicates import orientation
-from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum, spread
+from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
 from .triangle import corners, inverse_mean_ratio, signed_area
 
 
@@ -31,41 +31,49 @@ class Quality:
     max: Tensor
     inverted: Tensor
 
-    def put(self, at: Tensor, triangle_offsets: Tensor, part: "Quality") -> "Quality":
-        """This quality with that of the meshes `at` (B,) bool replaced by `part`."""
-        if len(part.mean) == len(self.mean):
-            return part
-        rows = spread(at, triangle_offsets)
 
-        def put(whole: Tensor, where: Tensor, values: Tensor) -> Tensor:
-            whole = whole.clone()
-            whole[where] = values
-            return whole
+def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) -> Quality:
+    """Measure a batch; inverted triangles count with the shape of their mirror image (Kim 2017).
 
-        return Quality(
-            put(self.area, rows, part.area),
-            put(self.inverse_mean_ratio, rows, part.inverse_mean_ratio),
-            put(self.upright, rows, part.upright),
-            put(self.mean, at, part.mean),
-            put(self.max, at, part.max),
-            put(self.inverted, at, part.inverted),
-        )
-
-
-def quality(batch: MeshBatch) -> Quality:
-    """Measure a batch; inverted triangles count with the shape of their mirror image (Kim 2017)."""
-    t = corners(batch.points.to(torch.float64), batch.triangles)
-    ratio = inverse_mean_ratio(t)
-    upright = orientation(*t) > 0
+    known  the batch as it was, and its quality then: only what changed since is measured
+    """
+    rows = None if known is None else _changed(known[0], batch)
+    if known is None or rows is None or 2 * len(rows) > len(batch.triangles):
+        area, ratio, upright = _measure(batch.points, batch.triangles)
+    else:
+        some = _measure(batch.points, batch.triangles.index_select(0, rows))
+        whole = known[1].area, known[1].inverse_mean_ratio, known[1].upright
+        area, ratio, upright = (old.index_copy(0, rows, new) for old, new in zip(whole, some, strict=True))
     offsets = batch.triangle_offsets
     return Quality(
-        area=signed_area(t),
+        area=area,
         inverse_mean_ratio=ratio,
         upright=upright,
         mean=segment_sum(ratio, offsets) / counts_from_offsets(offsets),
         max=segment_max(ratio, offsets),
         inverted=segment_count(~upright, offsets),
     )
+
+
+def _measure(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(T,) area, inverse mean ratio, and whether upright by exact sign."""
+    t = corners(points.to(torch.float64), triangles)
+    return signed_area(t), inverse_mean_ratio(t), orientation(*t) > 0
+
+
+def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
+    """The triangles that have other corners than before, or whose corners moved; None: there are others altogether."""
+    for old, new in ((before.point_offsets, after.point_offsets), (before.triangle_offsets, after.triangle_offsets)):
+        if old is not new and not torch.equal(old, new):
+            return None
+    changed = torch.zeros(len(after.triangles), dtype=torch.bool, device=after.triangles.device)
+    if after.triangles is not before.triangles:
+        for old, new in zip(before.triangles.unbind(1), after.triangles.unbind(1), strict=True):
+            changed |= old != new
+    if after.points is not before.points:
+        stays = (before.points[:, 0] == after.points[:, 0]) & (before.points[:, 1] == after.points[:, 1])
+        changed |= touching(after, ~stays)
+    return changed.nonzero().squeeze(1)
 
 
 def upright(batch: MeshBatch) -> Tensor:

@@ -37,6 +37,7 @@ class UntangleOptions:
                        mesh's mean absolute area
     local              beta is a part of no more than twice the usual area nearby, for graded meshes
     absolute_beta      beta in the mesh's own unit of area instead, as printed in Kim 2017 (0.01 there)
+    single             compute displacements of "beta" in single precision, which is faster
     reach              rings of vertices round the triangles that "beta" pushes which move; None: all move
     size_sweeps        how often the target sizes of "regularised" are averaged over neighbours: each in
                        turn until a mesh is valid, from where it was given
@@ -49,6 +50,7 @@ class UntangleOptions:
     local: bool = False
     absolute_beta: float | None = None
     reach: int | None = None
+    single: bool = False
     size_sweeps: tuple[int, ...] = (100, 20, 1000)
     max_iterations: int = 500
     max_continuations: int = 200
@@ -176,11 +178,12 @@ def _untangle_beta(
     if options.reach is not None:
         area = signed_area(corners(batch.points.to(torch.float64), batch.triangles))
         may_move = may_move & surroundings(batch, area < beta * usual, options.reach)
-    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, options.single)
     unit = spread(packing.unit, packing.triangle_offsets)
+    inverse = unit / usual.index_select(0, packing.triangles) * unit
     objective = MeshObjective(
         UntangleBeta(beta),
-        Target(1.0, 0.0, 1.0, unit / usual.index_select(0, packing.triangles) * unit),
+        Target(1.0, 0.0, 1.0, inverse.to(packing.unknowns)),
         packing.rows,
         packing.anchored,
         packing.block_offsets,
@@ -190,6 +193,7 @@ def _untangle_beta(
         packing.spread_vertices(
             vertex_mean(batch, usual) / spread(packing.unit, batch.point_offsets) / vertex_size(batch).clamp_min(1e-150)
         ),
+        edges=packing.edges,
     )
     settings = LbfgsOptions(
         max_iterations=options.max_iterations, gradient_tolerance=1e-12, energy_tolerance=1e-6, first_step=0.1
