@@ -116,7 +116,7 @@ def test_shapes_do_not_depend_on_the_unit_of_length(exponent):
 @pytest.mark.parametrize("moved", [0, 1, 3, 200])
 @pytest.mark.parametrize("turned", [0, 2])
 def test_what_changed_is_measured_and_the_rest_is_known(moved, turned, rng):
-    before = join(list(ALL.values()))
+    before = join([make() for make in ALL.values()])
     points, triangles = before.points.clone(), before.triangles.clone()
     points[torch.from_numpy(rng.permutation(len(points))[:moved])] += 0.05
     triangles[:turned] = triangles[:turned, [0, 2, 1]]
@@ -127,6 +127,6 @@ def test_what_changed_is_measured_and_the_rest_is_known(moved, turned, rng):
 
 
 def test_a_quality_known_of_other_triangles_is_no_use():
-    before, after = list(meshes.VALID.values())[:2]
+    before, after = (make() for make in list(meshes.VALID.values())[:2])
     known = quality(after, known=(before, quality(before)))
     assert torch.equal(known.inverse_mean_ratio, quality(after).inverse_mean_ratio)
