@@ -1,5 +1,6 @@
 """The batched recursion against the dense formula, and the promises of `minimise`."""
 
+import dataclasses
 import itertools
 from dataclasses import dataclass
 
@@ -401,3 +402,42 @@ def test_runs_repeat_to_the_bit():
     first, second = (minimise(objective, objective.start, LbfgsOptions()) for _ in range(2))
     assert torch.equal(first.unknowns, second.unknowns)
     assert torch.equal(first.energy, second.energy)
+
+
+class Single:
+    """An objective over unknowns in single precision."""
+
+    def __init__(self, objective):
+        self.objective, self.block_offsets = objective, objective.block_offsets
+        self.scale = objective.scale.to(torch.float32)
+
+    def __call__(self, unknowns):
+        energy, gradient, done = self.objective(unknowns.to(torch.float64))
+        return energy, gradient.to(torch.float32), done
+
+    def select(self, keep):
+        return Single(self.objective.select(keep))
+
+
+def test_single_precision_finds_the_minima_and_tells_numbers_in_double():
+    objective = Problems(unlike()[:6])
+    options = dataclasses.replace(EXACT, gradient_tolerance=1e-3)
+    result = minimise(Single(objective), objective.start.to(torch.float32), options)
+    assert result.unknowns.dtype == torch.float32
+    assert result.energy.dtype == result.gradient.dtype == torch.float64
+    exact = minimise(objective, objective.start, EXACT)
+    torch.testing.assert_close(result.energy, exact.energy, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-25, 1e-12, 1e12, 1e25])
+def test_the_size_of_the_energy_does_not_matter_in_single_precision(size):
+    """Products of such gradients would leave the range of the numbers."""
+
+    def run(factor):
+        problem = quadratic(12, 40, 7)
+        objective = Problems([Function(lambda x: factor * problem.value(x), problem.start)])
+        options = LbfgsOptions(max_iterations=30, gradient_tolerance=0.0)
+        return minimise(Single(objective), objective.start.to(torch.float32), options)
+
+    plain, scaled = run(1.0), run(size)
+    torch.testing.assert_close(scaled.unknowns, plain.unknowns, rtol=1e-3, atol=1e-4)

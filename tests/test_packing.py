@@ -188,3 +188,35 @@ def test_a_large_batch_gives_every_mesh_the_bits_it_has_alone():
     energies_, gradients = values(many, count)
     assert bool((energies_ == energy).all())
     assert bool((gradients == gradient).all())
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+def test_displacements_in_single_precision_have_the_energy_and_forces_of_coordinates_in_double(offset):
+    batch = join([m.with_points(m.points + offset) for m in unlike()])
+    free = ~batch.fixed
+    whole = packed(batch)
+    shifts = pack(batch.points, batch.triangles, free, batch.point_offsets, batch.triangle_offsets, displacements=True)
+    assert shifts.unknowns.dtype == shifts.edges.dtype == torch.float32
+    assert torch.equal(shifts.unpack(shifts.unknowns, batch.points), batch.points)
+    move = 0.01 * torch.randn(len(whole.unknowns), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    move = move * whole.spread_vertices(torch.ones(len(batch.points)))
+    energy, gradient, _ = objective_of(batch, whole)(whole.unknowns + move)
+    single = dataclasses.replace(
+        objective_of(batch, shifts),
+        energy=Regularised(torch.linspace(0.5, 1.5, len(shifts.triangles))),
+        edges=shifts.edges,
+    )
+    small, forces, _ = single(move.to(torch.float32))
+    assert small.dtype == torch.float64
+    assert forces.dtype == torch.float32
+    torch.testing.assert_close(small, energy, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(forces.to(torch.float64), gradient, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(
+        shifts.unpack(move.to(torch.float32), batch.points), whole.unpack(whole.unknowns + move, batch.points),
+        rtol=0, atol=1e-8,
+    )  # fmt: skip
+    keep = torch.arange(len(batch)) % 2 == 0
+    part = single.select(keep)
+    blocks = (whole.block_offsets[1:] - whole.block_offsets[:-1]).tolist()
+    kept = torch.cat([p for p, k in zip(move.split([b * BLOCK for b in blocks]), keep.tolist(), strict=True) if k])
+    assert torch.equal(part(kept.to(torch.float32))[0], small[keep])

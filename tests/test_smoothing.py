@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchmesh import MeshBatch, SmoothOptions, Status, join, quality, smooth
+from torchmesh.quality import upright
 from torchmesh.smoothing import vertex_size
 
 # Valid, and far from their best shape.
@@ -248,7 +249,8 @@ def test_far_from_the_origin_nothing_is_lost():
 
 def test_joined_equals_alone_to_the_bit_and_tangled_neighbours_do_not_matter():
     parts = [make() for make in (*ROUGH.values(), *meshes.TANGLED.values())] + [meshes.grid(1, 1), meshes.equilateral()]
-    for options in (SmoothOptions(), SmoothOptions(power=8, energy_tolerance=1e-4), SmoothOptions(ceiling=1.5)):
+    single = SmoothOptions(ceiling=1.5, single=True)
+    for options in (SmoothOptions(), SmoothOptions(power=8, energy_tolerance=1e-4), SmoothOptions(ceiling=1.5), single):
         batch, info = smooth(join(parts), options)
         for b, (mesh, together) in enumerate(zip(parts, batch.split(), strict=True)):
             alone, its = smooth(mesh, options)
@@ -304,3 +306,22 @@ def test_vertex_size_is_the_root_mean_square_edge():
 def test_bad_options_are_named(match, arguments):
     with pytest.raises(ValueError, match=match):
         SmoothOptions(**arguments)
+
+
+@pytest.mark.parametrize("name", list(ROUGH))
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_single_precision_comes_to_the_same_mesh(name, offset):
+    mesh = ROUGH[name]()
+    double, wide = smooth(mesh)
+    single, info = smooth(mesh.with_points(mesh.points + offset), SmoothOptions(single=True))
+    assert bool(upright(single).all())
+    assert info.energy.item() == pytest.approx(wide.energy.item(), rel=1e-5)
+    # Displacements keep their digits far from the origin; both stop where the energy is flat.
+    assert float((single.points - offset - double.points).abs().max()) < 1e-2 * float(double.points.abs().max())
+
+
+def test_in_single_precision_too_no_step_inverts_a_triangle():
+    mesh = ROUGH["delaunay"]()
+    for limit in range(12):
+        moved, _ = smooth(mesh, SmoothOptions(max_iterations=limit, single=True))
+        assert bool(upright(moved).all())

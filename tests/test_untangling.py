@@ -12,7 +12,11 @@ from torchmesh import InvalidMeshError, MeshBatch, Status, UntangleOptions, join
 from torchmesh.triangle import corners, signed_area
 from torchmesh.untangling import local_size, usual_area
 
-METHODS = {"regularised": UntangleOptions(), "beta": UntangleOptions("beta", max_iterations=1000)}
+METHODS = {
+    "regularised": UntangleOptions(),
+    "beta": UntangleOptions("beta", max_iterations=1000),
+    "beta, single": UntangleOptions("beta", max_iterations=1000, single=True),
+}
 
 # Tangled by their interior vertices only, so that these triangles can be made valid.
 MENDABLE = {
