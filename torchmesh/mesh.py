@@ -241,18 +241,24 @@ def surroundings(batch: MeshBatch, triangles: Tensor, rings: int) -> Tensor:
     return near
 
 
-def triangle_mean(batch: MeshBatch, values: Tensor) -> Tensor:
-    """(T,) the mean of `values` (V,) over each triangle's corners."""
-    a, b, c = (values.index_select(0, v.contiguous()) for v in batch.triangles.unbind(1))
-    return (a + b + c) / 3
+class Means:
+    """Means from vertices to triangles and back, many times over the same triangles."""
 
+    def __init__(self, batch: MeshBatch) -> None:
+        self.corners = [v.contiguous() for v in batch.triangles.unbind(1)]
+        self.count = torch.bincount(batch.triangles.reshape(-1), minlength=len(batch.points)).clamp_min(1)
 
-def vertex_mean(batch: MeshBatch, values: Tensor) -> Tensor:
-    """(V,) the mean of `values` (T,) over the triangles round each vertex; 0 for unused ones."""
-    total = values.new_zeros(len(batch.points))
-    for v in batch.triangles.unbind(1):
-        total.index_add_(0, v.contiguous(), values)
-    return total / torch.bincount(batch.triangles.reshape(-1), minlength=len(total)).clamp_min(1)
+    def of_corners(self, values: Tensor) -> Tensor:
+        """(T,) the mean of `values` (V,) over each triangle's corners."""
+        a, b, c = (values.index_select(0, v) for v in self.corners)
+        return a.add_(b).add_(c).div_(3)
+
+    def round_vertices(self, values: Tensor) -> Tensor:
+        """(V,) the mean of `values` (T,) over the triangles round each vertex; 0 for unused ones."""
+        total = values.new_zeros(len(self.count))
+        for v in self.corners:
+            total.index_add_(0, v, values)
+        return total.div_(self.count)
 
 
 def lift(mesh: MeshBatch) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 from .energies import Regularised, Target, UntangleBeta, equilateral, select_rows, target_of
 from .errors import InvalidMeshError
 from .lbfgs import BLOCK, LbfgsOptions, minimise
-from .mesh import MeshBatch, put, surroundings, triangle_mean, triangle_mesh, vertex_mean
+from .mesh import Means, MeshBatch, put, surroundings, triangle_mesh
 from .packing import MeshObjective, Packing, pack
 from .quality import upright
 from .segments import counts_from_offsets, segment_any, segment_count, segment_min, segment_sum, spread
@@ -191,7 +191,9 @@ def _untangle_beta(
         # The Hessian of (area)^2 at a vertex is the square of the edge opposite: large triangles are
         # stiff, so lengths are measured in usual area over local size.
         packing.spread_vertices(
-            vertex_mean(batch, usual) / spread(packing.unit, batch.point_offsets) / vertex_size(batch).clamp_min(1e-150)
+            Means(batch).round_vertices(usual)
+            / spread(packing.unit, batch.point_offsets)
+            / vertex_size(batch).clamp_min(1e-150)
         ),
         edges=packing.edges,
     )
@@ -213,7 +215,7 @@ def usual_area(batch: MeshBatch, options: UntangleOptions) -> Tensor:
     mean = segment_sum(area, batch.triangle_offsets) / counts_from_offsets(batch.triangle_offsets)
     usual = spread(mean, batch.triangle_offsets)
     if options.local:
-        local = triangle_mean(batch, local_size(batch, _LOCAL_SWEEPS)).square() * (SQRT3 / 4)
+        local = Means(batch).of_corners(local_size(batch, _LOCAL_SWEEPS)).square() * (SQRT3 / 4)
         usual = torch.minimum(usual, 2 * local)
     return torch.where(usual > 0, usual, 1.0)
 
@@ -370,9 +372,10 @@ def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
     enclosed = segment_sum(area, offsets)
     mean = spread(segment_sum(area.abs(), offsets) / counts_from_offsets(offsets), offsets)
     share = area.abs() / torch.where(mean > 0, mean, 1.0)
-    size = vertex_mean(batch, share).sqrt().clamp_min(1e-3)
+    means = Means(batch)
+    size = means.round_vertices(share).sqrt().clamp_min(1e-3)
     for _ in range(sweeps):
-        size = vertex_mean(batch, triangle_mean(batch, size))
-    target = triangle_mean(batch, size).square() * (SQRT3 / 4)
+        size = means.round_vertices(means.of_corners(size))
+    target = means.of_corners(size).square() * (SQRT3 / 4)
     factor = (enclosed.abs() / segment_sum(target, offsets)).sqrt()
     return size * spread(factor, batch.point_offsets)
