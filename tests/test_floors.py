@@ -32,6 +32,7 @@ FLOORS = [
     ["smoothing"],
     ["untangling", "remeshing", "certificate", "polishing"],
     ["relocation"],
+    ["gathering"],
     ["report"],
     ["losses", "excerpts"],
     # 4

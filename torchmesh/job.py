@@ -16,6 +16,7 @@ from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
+from .gathering import gather
 from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
 from .options import ImproveOptions
 from .pockets import untangle_batch_by_pockets
@@ -190,8 +191,9 @@ _COARSE = 100.0
             with self._stage("relocate", at) as done:
                 work = Relocation(self.batch.select(at), self._sized(at))
                 work.improve(torch.ones_like(at[at]))
+                part, flips = gather(work.batch, work.options)
                 self._twin = None
-                done(work.batch, flips=work.flips)
+                done(part, flips=work.flips + flips)
 
     def polish(self) -> None:
         """Better the worst triangles of the valid meshes, where there are any beyond what is asked."""

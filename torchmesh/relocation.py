@@ -23,6 +23,10 @@ from .triangle import SQRT3, corners, signed_area
 _WORTH = 1.2
 
 
+# How often a mesh may try to exchange fewer vertices.
+_TRIES = 4
+
+
 # Above this mean or maximum of the inverse mean ratio, flips and smoothing have not come far enough.
 _MEAN, _MAX = 1.06, 1.9
 # So small a part of the triangles above that maximum is not worth work on a whole large mesh.
@@ -54,10 +58,33 @@ class Relocation(Remeshing):
 
     def _cut(self, going: Tensor, short: float, long: float) -> Tensor:
         assert self.size is not None
+        changed = torch.zeros_like(self.splits)
+        most: Tensor | None = None
+        for _ in range(_TRIES):
+            if not bool(going.any()):
+                break
+            splits, collapses = self._exchange_vertices(going, short, long, most)
+            whole = splits == collapses
+            changed[going] = torch.where(whole, 2 * splits, 0)
+            # A mesh that found no room for all its freed vertices frees fewer.
+            going, most = _part(going, ~whole & (splits > 0)), (splits // 2)[~whole & (splits > 0)]
+        self.splits += changed // 2
+        self.collapses += changed // 2
+        return changed
+
+    def _exchange_vertices(
+        self, going: Tensor, short: float, long: float, most: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Collapse and split, `most` (B',) times at most, in those of the meshes `going` (B,) where both numbers agree.
+
+        Returns the splits and collapses (B',) that each found.
+        """
+        assert self.size is not None
         part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
         e = editable(part, self.size[rows], self.names, self.names.of[rows])
         edge = e.edges()
         wanted = e.per_mesh(edge[e.relative_length(edge) > long])
+        wanted = wanted if most is None else torch.minimum(wanted, most)
         collapses = collapse_rounds(e, self._too_short(e, short), self._harmless, budget=wanted)
         splits = split_rounds(e, self._too_long(e, _WORTH), budget=collapses, room=_freed_rows(triangle_mesh(part)))
         whole = splits == collapses
@@ -66,13 +93,8 @@ class Relocation(Remeshing):
         done = dataclasses.replace(part, points=points, triangles=e.triangles)
         size = self.size.clone()
         size[rows] = torch.where(spread(whole, part.point_offsets), e.size * unit, self.size[rows])
-        # A mesh that found no room for all its freed vertices stays as it was.
         self.batch, self.size = put(self.batch, going, put(part, whole, done.select(whole))), size
-        changed = torch.zeros_like(self.splits)
-        changed[going] = torch.where(whole, 2 * splits, 0)
-        self.splits += changed // 2
-        self.collapses += changed // 2
-        return changed
+        return splits, collapses
 
     def _renew(self, going: Tensor, before: MeshBatch, after: MeshBatch) -> None:
         # Vertices take their sizes along: to ask for them anew would cost more than it betters.
@@ -85,6 +107,13 @@ class Relocation(Remeshing):
         fitting = segment_sum(share, part.triangle_offsets) * (4 / SQRT3)
         factor = (fitting / counts_from_offsets(part.triangle_offsets)).sqrt()
         return size * spread(factor, part.point_offsets)
+
+
+def _part(at: Tensor, keep: Tensor) -> Tensor:
+    """(B,) bool: those of the meshes `at` (B,) whose `keep` (one for each that is) is true."""
+    rest = torch.zeros_like(at)
+    rest[at] = keep
+    return rest
 
 
 def _freed_rows(face_mesh: Tensor) -> Room:

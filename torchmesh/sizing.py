@@ -87,6 +87,44 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     is such that the triangles number `triangles` (B,), as far as c is between -0.25 and 1 over the
     maximum of v: refining and coarsening beyond that spoils the shapes.
     """
+    inward = continue_inwards(batch)
+    v = inward.bend
+    peak = segment_max(v, batch.point_offsets).clamp_min(1e-300)
+    v = v / spread(peak, batch.point_offsets)
+    low, high = torch.full_like(peak, -_FINER), torch.full_like(peak, _COARSER)
+    wanted = triangles.to(peak) * (SQRT3 / 4)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        count = segment_sum(
+            inward.mass * exp(-2 * (inward.relative + spread(middle, batch.point_offsets) * v)), batch.point_offsets
+        )
+        many = count > wanted
+        low, high = torch.where(many, middle, low), torch.where(many, high, middle)
+    h = exp(inward.logarithm + spread(0.5 * (low + high), batch.point_offsets) * v)
+    return torch.where(inward.known, inward.length, h)
+
+
+@dataclass(frozen=True, eq=False)
+class Inwards:
+    """The sizes of the boundary, continued into the interior, (V,) each.
+
+    known      is the vertex on the boundary, on a constrained edge, or of no triangle?
+    length     the mean length of such edges at those vertices
+    logarithm  u of `boundary_sizes`;  relative: less the mesh's largest, whose exponential is the unit of `mass`
+    mass       the area that is a vertex's, a third of its triangles'
+    bend       v of `boundary_sizes`: in the middle of a strip, half the square of its half width in units of exp u
+    """
+
+    known: Tensor
+    length: Tensor
+    logarithm: Tensor
+    relative: Tensor
+    mass: Tensor
+    bend: Tensor
+
+
+def continue_inwards(batch: MeshBatch) -> Inwards:
+    """Read the sizes at the boundary and constrained edges, and continue them."""
     twin = connectivity.twins(batch.triangles)
     edges = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
     length, known = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)
@@ -97,7 +135,8 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     idle = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0
     known = known | idle
     offsets = batch.point_offsets
-    u = harmonic_extension(batch.triangles, weights, known, _log(length.clamp_min(1e-300))[:, None], offsets)[:, 0]
+    length = length.clamp_min(1e-300)
+    u = harmonic_extension(batch.triangles, weights, known, log(length)[:, None], offsets)[:, 0]
     # Sizes relative to each mesh's largest, so that no square leaves the range of numbers.
     top = segment_max(torch.where(idle, -torch.inf, u), offsets)
     relative = u - spread(top, offsets)
@@ -105,22 +144,12 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     area = signed_area(t).abs()
     for corner in batch.triangles.unbind(1):
         share.index_add_(0, corner, area)
-    unit = _exp(top)
+    unit = exp(top)
     mass = share / 3 / spread(unit, offsets) / spread(unit, offsets)
-    load = torch.where(known, 0.0, mass * _exp(-2 * relative))
+    load = torch.where(known, 0.0, mass * exp(-2 * relative))
     zero = torch.zeros_like(load)[:, None]
-    v = harmonic_extension(batch.triangles, weights, known, zero, offsets, source=load[:, None])[:, 0]
-    peak = segment_max(v, offsets).clamp_min(1e-300)
-    v = v / spread(peak, offsets)
-    low, high = torch.full_like(peak, -_FINER), torch.full_like(peak, _COARSER)
-    wanted = triangles.to(peak) * (SQRT3 / 4)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        count = segment_sum(mass * _exp(-2 * (relative + spread(middle, offsets) * v)), offsets)
-        many = count > wanted
-        low, high = torch.where(many, middle, low), torch.where(many, high, middle)
-    h = _exp(u + spread(0.5 * (low + high), offsets) * v)
-    return torch.where(known, length.clamp_min(1e-300), h)
+    bend = harmonic_extension(batch.triangles, weights, known, zero, offsets, source=load[:, None])[:, 0]
+    return Inwards(known, length, u, relative, mass, bend)
 
 
 def uniform_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
@@ -213,10 +242,10 @@ def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[
     return torch.where(there, total / number.clamp_min(1), spread(mean, batch.point_offsets)), there
 
 
-def _log(values: Tensor) -> Tensor:
+def log(values: Tensor) -> Tensor:
     """Of numpy, where the bits of a result do not depend on its place in the vector."""
     return torch.from_numpy(np.log(values.cpu().numpy())).to(values.device)
 
 
-def _exp(values: Tensor) -> Tensor:
+def exp(values: Tensor) -> Tensor:
     return torch.from_numpy(np.exp(values.cpu().numpy())).to(values.device)
