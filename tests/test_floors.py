@@ -117,6 +117,38 @@ def loaded() -> set[str]:
     return set(done.stdout.split())
 
 
+def test_the_names_that_are_loaded_late_are_those_that_a_type_checker_sees():
+    seen = {}
+    for node in ast.walk(ast.parse((PACKAGE / "__init__.py").read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.level:
+            seen |= {alias.name: node.module for alias in node.names}
+    late = {name: module for name, module in seen.items() if module != "quality"}
+    assert late == torchmesh._HOMES
+
+
+def test_a_name_that_is_none_of_the_package_is_an_attribute_error():
+    assert not hasattr(torchmesh, "no_such_thing")
+    assert torchmesh.connectivity.__name__ == "torchmesh.connectivity"
+
+
+# A notch pushed into a square, which averaging does not untangle.
+FIRST_CALL = """
+import sys, torch, torchmesh as tm
+points = torch.cartesian_prod(torch.arange(25.0), torch.arange(25.0)).double()
+points[(points[:, 1] == 0) & (points[:, 0] > 8) & (points[:, 0] < 16), 1] = 4
+a = torch.cat([k + torch.arange(24) for k in range(0, 600, 25)])
+faces = torch.cat([torch.stack([a, a + 25, a + 26], 1), torch.stack([a, a + 26, a + 1], 1)])
+_, report = tm.improve(tm.MeshBatch.from_arrays(points, faces))
+assert "untangle-beta" in [step.stage for step in report.check().steps[0]]
+print(*{name.split('.')[0] for name in sys.modules})
+"""
+
+
+def test_untangling_a_small_mesh_loads_nothing_heavy():
+    done = subprocess.run([sys.executable, "-c", FIRST_CALL], capture_output=True, text=True, check=True)
+    assert {"scipy", "shapely"}.isdisjoint(done.stdout.split())
+
+
 def test_the_public_names_are_all_there():
     assert sorted(torchmesh.__all__) == sorted(set(torchmesh.__all__))
     for name in torchmesh.__all__:

@@ -12,6 +12,7 @@ from torchmesh.polygons import (
     is_triangulation_of,
     locate,
     loop_edges,
+    nested_holes,
     triangulate_polygon,
     turns_left,
     why_not_simple,
@@ -231,3 +232,30 @@ def test_spread_stays_inside_and_stops_where_floating_point_ends(dtype):
     assert 0 < len(left) < 100
     assert (signs(points, *work.corners.T) > 0).all()
     np.testing.assert_array_equal(points[3:103].astype(dtype), points[3:103])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_pairs_are_the_same_by_sweep_and_by_tree(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    # Places on a small lattice, so that segments also touch, overlap and share ends.
+    points = rng.integers(0, 12, (60, 2)).astype(float)
+    segments = rng.integers(0, 60, (80, 2))
+    segments = segments[segments[:, 0] != segments[:, 1]]
+    group = rng.integers(0, 3, 60)[segments[:, 0]] if seed % 2 else None
+    swept = crossing_pairs(points, segments, group)
+    assert len(swept) > 20
+    assert (np.diff(swept[:, 0] * len(segments) + swept[:, 1]) > 0).all()
+    monkeypatch.setattr("torchmesh.polygons._swept", lambda low, high: None)
+    assert sorted(map(tuple, crossing_pairs(points, segments, group).tolist())) == list(map(tuple, swept.tolist()))
+
+
+def test_nested_holes_are_found_by_sweep_and_by_tree(monkeypatch):
+    squares = [((0, 0), 8), ((1, 1), 2), ((20, 0), 3), ((4, 1), 2)]
+    points = np.concatenate([np.add(at, side * np.array([(0, 0), (0, 1), (1, 1), (1, 0)])) for at, side in squares])
+    holes = [np.arange(4 * k, 4 * k + 4) for k in range(4)]
+    for _ in range(2):
+        assert nested_holes(points.astype(float), holes[1:]) is None
+        inner, outer = nested_holes(points.astype(float), holes)
+        assert outer.tolist() == [0, 1, 2, 3]
+        assert inner.tolist() in ([4, 5, 6, 7], [12, 13, 14, 15])
+        monkeypatch.setattr("torchmesh.polygons._swept", lambda low, high: None)

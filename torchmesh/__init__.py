@@ -3,75 +3,82 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from . import metrics
-from .deformation import DeformOptions, DeformReport, deform
-from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
-from .diagnosis import Problem, ProblemKind, diagnose
-from .errors import (
-    ConvergenceError,
-    InvalidMeshError,
-    MeshError,
-    MeshIOError,
-    MeshWarning,
-    MissingDependencyError,
-)
-from .genealogy import VertexMap
-from .mesh import MeshBatch, join
-from .options import ImproveOptions
-from .paths import largest_step
-from .pipeline import improve
-from .polishing import PolishInfo, PolishOptions, polish
 from .quality import Quality, minimum_angle, quality
-from .remeshing import RemeshInfo, RemeshOptions, remesh
-from .report import Progress, Report, Step
-from .sizing import SizeConformity, size_conformity, size_field
-from .smoothing import MoveInfo, SmoothOptions, smooth
-from .status import Status
-from .targets import MetricField, metric_from, target_from, target_quality
-from .untangling import UntangleOptions, untangle
-from .warping import femwarp, relax
 
 if TYPE_CHECKING:
-    from . import datasets, domains, losses, nn
+    from . import datasets, domains, losses, metrics, nn
     from .animation import animate
+    from .deformation import DeformOptions, DeformReport, deform
+    from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
+    from .diagnosis import Problem, ProblemKind, diagnose
+    from .errors import ConvergenceError, InvalidMeshError, MeshError, MeshIOError, MeshWarning, MissingDependencyError
     from .files import improve_files
+    from .genealogy import VertexMap
     from .io import held, read, write
     from .manifest import FileResult
+    from .mesh import MeshBatch, join
+    from .options import ImproveOptions
     from .page import report_page
+    from .paths import largest_step
+    from .pipeline import improve
+    from .polishing import PolishInfo, PolishOptions, polish
     from .pyg import from_pyg, to_pyg
     from .pyvista_export import to_pyvista
+    from .remeshing import RemeshInfo, RemeshOptions, remesh
+    from .report import Progress, Report, Step
     from .series import Series, read_series, write_series
+    from .sizing import SizeConformity, size_conformity, size_field
+    from .smoothing import MoveInfo, SmoothOptions, smooth
+    from .status import Status
     from .storage import BatchFile, BatchWriter, load_batch, load_fields, save_batch
+    from .targets import MetricField, metric_from, target_from, target_quality
+    from .untangling import UntangleOptions, untangle
+    from .warping import femwarp, relax
 
-# Loaded when first asked for: they import more than torch and numpy, or are of use to few.
-_LAZY_MODULES = ("datasets", "domains", "losses", "nn")
-_LAZY_NAMES = {
-    "animate": "animation",
-    "from_pyg": "pyg",
-    "report_page": "page",
-    "to_pyg": "pyg",
-    "to_pyvista": "pyvista_export",
-    "improve_files": "files",
-    "FileResult": "manifest",
-    "held": "io",
-    "read": "io",
-    "write": "io",
-    "read_series": "series",
-    "Series": "series",
-    "write_series": "series",
-    "BatchFile": "storage",
-    "BatchWriter": "storage",
-    "load_batch": "storage",
-    "load_fields": "storage",
-    "save_batch": "storage",
+# Loaded when first asked for: a program pays for what it uses.  `quality` is here from the start, since the import
+# of the module of the same name, by whichever other module, would put that in its place.
+_NAMES = {
+    "animation": "animate",
+    "deformation": "DeformOptions DeformReport deform",
+    "delaunay": "FlipInfo FlipOptions flip_to_delaunay",
+    "diagnosis": "Problem ProblemKind diagnose",
+    "errors": "ConvergenceError InvalidMeshError MeshError MeshIOError MeshWarning MissingDependencyError",
+    "files": "improve_files",
+    "genealogy": "VertexMap",
+    "io": "held read write",
+    "manifest": "FileResult",
+    "mesh": "MeshBatch join",
+    "options": "ImproveOptions",
+    "page": "report_page",
+    "paths": "largest_step",
+    "pipeline": "improve",
+    "polishing": "PolishInfo PolishOptions polish",
+    "pyg": "from_pyg to_pyg",
+    "pyvista_export": "to_pyvista",
+    "remeshing": "RemeshInfo RemeshOptions remesh",
+    "report": "Progress Report Step",
+    "series": "Series read_series write_series",
+    "sizing": "SizeConformity size_conformity size_field",
+    "smoothing": "MoveInfo SmoothOptions smooth",
+    "status": "Status",
+    "storage": "BatchFile BatchWriter load_batch load_fields save_batch",
+    "targets": "MetricField metric_from target_from target_quality",
+    "untangling": "UntangleOptions untangle",
+    "warping": "femwarp relax",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY_MODULES:
-        return importlib.import_module(f".{name}", __name__)
-    if name in _LAZY_NAMES:
-        return getattr(importlib.import_module(f".{_LAZY_NAMES[name]}", __name__), name)
+    if name in _HOMES:
+        value = globals()[name] = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
+        return value
+    if not name.startswith("_"):
+        try:
+            return importlib.import_module(f".{name}", __name__)
+        except ModuleNotFoundError as error:
+            if error.name != f"{__name__}.{name}":
+                raise
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -10,7 +10,6 @@ from enum import Enum
 from typing import Literal
 
 import numpy as np
-import shapely
 import torch
 
 from . import connectivity
@@ -278,6 +277,8 @@ def _outside(
     if not len(rows):
         return
     # Shapely clears the many that are well inside; exact signs judge the rest.
+    import shapely
+
     near_one = np.ldexp(points, -unit_exponent(points))
     rings = [near_one[loop] for loop in loops]
     polygon = shapely.Polygon(rings[outer], rings[:outer] + rings[outer + 1 :])

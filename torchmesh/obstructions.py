@@ -6,7 +6,6 @@ of fewer than three triangles, which none could mend either, is no part of an or
 """
 
 import itertools
-from fractions import Fraction
 
 import numpy as np
 
@@ -88,6 +87,8 @@ def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def _surely_empty(points: np.ndarray, edges: np.ndarray) -> bool:
     """Do the open half-planes left of three `edges` (3, 2) have nothing in common, in rational arithmetic?"""
+    from fractions import Fraction
+
     normal, offset = [], []
     for a, b in points[edges].tolist():
         (ax, ay), (bx, by) = (tuple(map(Fraction, p)) for p in (a, b))

@@ -5,7 +5,6 @@ may share vertices; Shapely only proposes, exact signs decide.
 """
 
 import numpy as np
-import shapely
 import torch
 
 from .connectivity import boundary_loops
@@ -47,6 +46,16 @@ def crossing_pairs(
     ends = points[segments]
     low, high = ends.min(1), ends.max(1)
     left, right = (low, high) if group is None else _side_by_side(low, high, group)
+    swept = _swept(left, right)
+    if swept is not None:
+        i, j = swept
+        near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(1)
+        if group is not None:
+            near &= group[i] == group[j]
+        pairs = np.stack([i[near], j[near]], 1)
+        return pairs[_meet(points, segments[pairs[:, 0]], segments[pairs[:, 1]])]
+    import shapely
+
     boxes = shapely.box(left[:, 0], left[:, 1], right[:, 0], right[:, 1])
     i, j = shapely.STRtree(boxes).query(boxes)
     near = i < j
@@ -63,6 +72,24 @@ def crossing_pairs(
         if enough is not None and sum(map(len, found)) >= enough:
             break
     return np.concatenate(found) if found else pairs
+
+
+def _swept(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """The rows i < j (P,) of the boxes from `low` to `high` (S, 2) that overlap, in order; None if that is long work.
+
+    A line is swept over the boxes from left to right; what overlaps in x is looked at.
+    """
+    order = np.argsort(low[:, 0], kind="stable")
+    count = np.searchsorted(low[order, 0], high[order, 0], "right") - np.arange(1, len(order) + 1)
+    if (total := int(count.sum())) > _PAIRS:
+        return None
+    first = np.repeat(np.arange(len(order)), count)
+    behind = np.arange(total) - np.repeat(np.cumsum(count) - count, count)
+    i, j = order[first], order[first + 1 + behind]
+    near = (low[i, 1] <= high[j, 1]) & (low[j, 1] <= high[i, 1])
+    i, j = np.minimum(i, j)[near], np.maximum(i, j)[near]
+    order = np.lexsort((j, i))
+    return i[order], j[order]
 
 
 def _side_by_side(low: np.ndarray, high: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,10 +179,17 @@ def nested_holes(points: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarra
         return None
     low = np.stack([points[hole].min(0) for hole in holes])
     high = np.stack([points[hole].max(0) for hole in holes])
-    boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
-    for i, j in shapely.STRtree(boxes).query(boxes, predicate="covered_by").T.tolist():
-        if i != j and winding(points, _one_not_in(holes[i], holes[j]), loop_edges(holes[j]))[0]:
-            return holes[i], holes[j]
+    near = _swept(low, high)
+    if near is None:
+        import shapely
+
+        boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+        near = shapely.STRtree(boxes).query(boxes)
+    i, j = np.concatenate(near), np.concatenate(near[::-1])
+    within = ((low[j] <= low[i]) & (high[i] <= high[j])).all(1) & (i != j)
+    for a, b in zip(i[within].tolist(), j[within].tolist(), strict=True):
+        if winding(points, _one_not_in(holes[a], holes[b]), loop_edges(holes[b]))[0]:
+            return holes[a], holes[b]
     return None
 
 
@@ -199,6 +233,8 @@ def is_triangulation_of(points: np.ndarray, corners: np.ndarray, rim: np.ndarray
 
 def _proposed(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray | None:
     """GEOS's triangles (T, 3) if exact signs confirm them."""
+    import shapely
+
     turn = [turns_left(points, loop) for loop in loops]
     outer = int(np.argmax(turn))
     polygon = shapely.Polygon(points[loops[outer]], [points[loop] for i, loop in enumerate(loops) if i != outer])
@@ -256,6 +292,8 @@ def locate(points: np.ndarray, vertices: np.ndarray, corners: np.ndarray) -> np.
     home = np.full(len(vertices), -1)
     if not len(vertices):
         return home
+    import shapely
+
     pieces = shapely.polygons(points[corners])
     shapely.prepare(pieces)
     t, i = shapely.STRtree(shapely.points(points[vertices])).query(pieces, predicate="intersects")

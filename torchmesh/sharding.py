@@ -12,8 +12,6 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
 import torch
@@ -62,6 +60,9 @@ def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Itera
     An exception of the task is raised here.  What a worker that dies has not finished is computed
     in this process, with a MeshWarning.
     """
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+
     global _task
     _task = task
     try:
