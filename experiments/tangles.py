@@ -1,10 +1,12 @@
 """Families of tangled meshes, each with one number that makes it harder.
 
-    moved       a hole moved by so many of its diameters through a long channel, carried by FEMWARP
+    moved       a hole moved by so many of its diameters through a long channel and turned as it goes (`angle`),
+                the interior carried by FEMWARP
     turned      an airfoil turned by so many degrees in its far field, carried by FEMWARP
     jittered    interior vertices thrown by so many local edge lengths
     scrambled   interior vertices 0 all in one point, 1 shuffled, 2 mirrored, 3 outside the domain
-    mapped      a square's boundary mapped onto a letter or spiral of so many arms, the interior relaxed
+    mapped      a square's boundary mapped onto a letter or spiral of so many bends, the interior relaxed
+    wound       a square's boundary mapped onto a round spiral of so many turns, likewise
 
 gmsh triangulates the undeformed domains; meshes are kept as .npz files in a cache directory.
 """
@@ -30,17 +32,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Family:
-    """A way to tangle: `make(mesh, value, seed)` gives the new points (V, 2) of an undeformed mesh.
+    """A way to tangle: `make(mesh, value, angle, seed)` gives the new points (V, 2) of an undeformed mesh.
 
     values  the numbers that make it harder, in order
     unit    what they are, for a plot's axis
+    turns   does an angle in degrees make it harder too?
     """
 
     name: str
     domain: Callable[[int, float], Shape]
-    make: Callable[[tm.MeshBatch, float, int], torch.Tensor]
+    make: Callable[[tm.MeshBatch, float, float, int], torch.Tensor]
     values: tuple[float, ...]
     unit: str
+    turns: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,14 +56,17 @@ class Tangle:
     tangled: tm.MeshBatch
 
 
-def tangle(family: str, value: float, triangles: int, grading: float, seed: int, cache: Path) -> Tangle:
+def tangle(
+    family: str, value: float, triangles: int, grading: float, seed: int, cache: Path, angle: float = 0.0
+) -> Tangle:
     """The case of that family and number; about so many triangles, `grading` the mesh size at the body over that
     far away."""
     kind = FAMILIES[family]
     shape = kind.domain(seed, grading)
-    mesh = _undeformed(f"{family}-{triangles}-{grading:g}-{seed}", shape, triangles, cache)
-    name = f"{family} {value:g}, {triangles} triangles, grading {grading:g}, seed {seed}"
-    return Tangle(name, mesh, mesh.with_points(kind.make(mesh, value, seed)))
+    mesh = _undeformed(f"{kind.domain.__name__[1:]}-{triangles}-{grading:g}-{seed}", shape, triangles, cache)
+    turned = f" and {angle:g} degrees" if angle else ""
+    name = f"{family} {value:g}{turned}, {triangles} triangles, grading {grading:g}, seed {seed}"
+    return Tangle(name, mesh, mesh.with_points(kind.make(mesh, value, angle, seed)))
 
 
 def _undeformed(name: str, shape: Shape, triangles: int, cache: Path) -> tm.MeshBatch:
@@ -106,18 +113,24 @@ def _square(seed: int, grading: float) -> Shape:
     return Shape([corners], 1.0, lambda points: points)
 
 
-def _moved(mesh: tm.MeshBatch, diameters: float, seed: int) -> torch.Tensor:
+def _moved(mesh: tm.MeshBatch, diameters: float, angle: float, seed: int) -> torch.Tensor:
     up = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0)
-    hole = mesh.fixed & ((mesh.points - torch.tensor([_START, 3.0])).norm(dim=1) < 1.1 * _RADIUS)
-    shift = torch.tensor([diameters * 2 * _RADIUS, up], dtype=torch.float64)
-    return tm.femwarp(mesh, mesh.points + hole[:, None] * shift).points
+    start = torch.tensor([_START, 3.0], dtype=torch.float64)
+    hole = mesh.fixed & ((mesh.points - start).norm(dim=1) < 1.1 * _RADIUS)
+    there = start + torch.tensor([diameters * 2 * _RADIUS, up], dtype=torch.float64)
+    goal = (mesh.points - start) @ _turn(angle, seed) + there
+    return tm.femwarp(mesh, torch.where(hole[:, None], goal, mesh.points)).points
 
 
-def _turned(mesh: tm.MeshBatch, degrees: float, seed: int) -> torch.Tensor:
+def _turned(mesh: tm.MeshBatch, degrees: float, angle: float, seed: int) -> torch.Tensor:
     foil = mesh.fixed & (mesh.points.norm(dim=1) < 1)
+    return tm.femwarp(mesh, torch.where(foil[:, None], mesh.points @ _turn(degrees, seed), mesh.points)).points
+
+
+def _turn(degrees: float, seed: int) -> torch.Tensor:
+    """(2, 2) the matrix, for rows of points: one way round for even seeds, the other for odd ones."""
     a = math.radians(degrees) * (1 if seed % 2 == 0 else -1)
-    turn = torch.tensor([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]], dtype=torch.float64)
-    return tm.femwarp(mesh, torch.where(foil[:, None], mesh.points @ turn, mesh.points)).points
+    return torch.tensor([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]], dtype=torch.float64)
 
 
 def local_length(mesh: tm.MeshBatch) -> Array:
@@ -127,7 +140,7 @@ def local_length(mesh: tm.MeshBatch) -> Array:
     return np.sqrt(np.bincount(corner, np.repeat(area, 3)) / np.bincount(corner))
 
 
-def _jittered(mesh: tm.MeshBatch, cells: float, seed: int) -> torch.Tensor:
+def _jittered(mesh: tm.MeshBatch, cells: float, angle: float, seed: int) -> torch.Tensor:
     # An equilateral triangle's edge is 1.52 roots of its area.
     throw = (
         np.random.default_rng([seed, 2]).normal(size=mesh.points.shape) * (cells * 1.52 * local_length(mesh))[:, None]
@@ -135,7 +148,7 @@ def _jittered(mesh: tm.MeshBatch, cells: float, seed: int) -> torch.Tensor:
     return torch.where(mesh.fixed[:, None], mesh.points, mesh.points + torch.from_numpy(throw))
 
 
-def _scrambled(mesh: tm.MeshBatch, how: float, seed: int) -> torch.Tensor:
+def _scrambled(mesh: tm.MeshBatch, how: float, angle: float, seed: int) -> torch.Tensor:
     free = (~mesh.fixed).nonzero().squeeze(1)
     points = mesh.points.clone()
     low, high = points.amin(0), points.amax(0)
@@ -170,23 +183,46 @@ def letter(arms: int) -> Array:
     return np.concatenate([sides[0], sides[1][::-1]])
 
 
-def _mapped(mesh: tm.MeshBatch, arms: float, seed: int) -> torch.Tensor:
-    """The boundary loop onto the letter's outline by arc length, corner on corner where the spacing allows."""
+def spiral(turns: float) -> Array:
+    """(N, 2) the outline, counter-clockwise, of a strip of constant width wound so many times."""
+    steps = max(24, round(48 * turns))
+    angle = np.linspace(0, 2 * np.pi * turns, steps)
+    radius = 0.6 + angle / (2 * np.pi)
+    ray = np.stack([np.cos(angle), np.sin(angle)], 1)
+    return np.concatenate([(radius + 0.2)[:, None] * ray, ((radius - 0.2)[:, None] * ray)[::-1]])
+
+
+def _mapped(mesh: tm.MeshBatch, arms: float, angle: float, seed: int) -> torch.Tensor:
+    return _laid(mesh, letter(int(arms)), seed)
+
+
+def _wound(mesh: tm.MeshBatch, turns: float, angle: float, seed: int) -> torch.Tensor:
+    return _laid(mesh, spiral(turns), seed)
+
+
+# Where an outline turns by less, no vertex has to stand.
+_CORNER = math.radians(30)
+
+
+def _laid(mesh: tm.MeshBatch, outline: Array, seed: int) -> torch.Tensor:
+    """The boundary loop onto an outline by arc length, corner on corner where the spacing allows."""
     from torchmesh import connectivity
 
     loop = connectivity.boundary_loops(connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles)))[
         0
     ]
-    outline = letter(int(arms))
     closed = np.concatenate([outline, outline[:1]])
-    corner = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    at = (np.arange(len(loop)) + 0.5 * (seed % 2)) / len(loop) * corner[-1]
-    # Every corner of the letter gets the vertex nearest to it along the outline.
-    for c in corner[:-1]:
-        at[np.abs((at - c + corner[-1] / 2) % corner[-1] - corner[-1] / 2).argmin()] = c
-    at = np.sort(at % corner[-1])
+    side = np.diff(closed, axis=0)
+    place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(side, axis=1))])
+    at = (np.arange(len(loop)) + 0.5 * (seed % 2)) / len(loop) * place[-1]
+    before = np.roll(side, 1, axis=0)
+    turn = np.arctan2(before[:, 0] * side[:, 1] - before[:, 1] * side[:, 0], (before * side).sum(1))
+    # Every corner of the outline gets the vertex nearest to it along the outline.
+    for c in place[:-1][np.abs(turn) > _CORNER]:
+        at[np.abs((at - c + place[-1] / 2) % place[-1] - place[-1] / 2).argmin()] = c
+    at = np.sort(at % place[-1])
     points = mesh.points.clone()
-    places = np.stack([np.interp(at, corner, closed[:, k]) for k in (0, 1)], 1)
+    places = np.stack([np.interp(at, place, closed[:, k]) for k in (0, 1)], 1)
     points[loop] = torch.from_numpy(places)
     return tm.relax(mesh.with_points(points)).points
 
@@ -194,10 +230,11 @@ def _mapped(mesh: tm.MeshBatch, arms: float, seed: int) -> torch.Tensor:
 FAMILIES = {
     family.name: family
     for family in (
-        Family("moved", _channel, _moved, (1, 2, 4, 6, 8, 10, 12), "diameters moved"),
+        Family("moved", _channel, _moved, (1, 2, 4, 8, 12), "diameters moved", turns=True),
         Family("turned", _far_field, _turned, (15, 30, 60, 90, 120, 150, 180), "degrees turned"),
         Family("jittered", _channel, _jittered, (0.15, 0.3, 0.5, 1, 2, 4), "edge lengths thrown"),
         Family("scrambled", _channel, _scrambled, (0, 1, 2, 3), "one point, shuffled, mirrored, outside"),
         Family("mapped", _square, _mapped, (1, 2, 3, 4, 6, 8), "bends of the letter"),
+        Family("wound", _square, _wound, (0.5, 1, 1.5, 2, 3), "turns of the spiral"),
     )
 }
