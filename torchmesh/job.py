@@ -46,16 +46,16 @@ _STILL = 0.02
 _SLIVER = 1e4
 
 
+# The worst inverse mean ratio of a mesh whose energies are left to single precision.
+_COARSE = 100.0
+
+
 class Job:
     """A batch on its way, with the log of what happened to each mesh."""
 
     def __init__(
         self,
         batch: MeshBatch,
-# The worst inverse mean ratio of a mesh whose energies are left to single precision.
-_COARSE = 100.0
-
-
         options: ImproveOptions,
         progress: Callable[[Progress], None] | None,
         observe: Callable[[str, MeshBatch], None] | None = None,
