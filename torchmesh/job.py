@@ -17,6 +17,7 @@ from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
 from .gathering import gather
+from .lbfgs import LbfgsOptions
 from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
 from .options import ImproveOptions
 from .pockets import untangle_batch_by_pockets
@@ -38,6 +39,10 @@ from .warping import femwarp
 # Rounds of flips between two goes of untangling: the first flips do most, the last ones have tangles
 # as their only guide.
 _FLIP_ROUNDS = 2
+
+# The paper's loop stands still after so many rounds without a flip whose minimisation ended in the fewest
+# iterations there are.
+_QUIET_ROUNDS, _AT_REST = 4, LbfgsOptions().patience
 
 # A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
 _STILL = 0.02
@@ -84,19 +89,22 @@ class Job:
     def paper(self) -> None:
         """Kim 2017, figure 2."""
         best = self.quality.inverted
-        since = torch.zeros_like(best)
+        since, quiet = torch.zeros_like(best), torch.zeros_like(best)
         # Flips may open a way where minimising alone stood still; without them nothing would change.
         patience = 10 if self.options.topology != "keep" else 1
         for turn in range(self.options.untangle_rounds):
             if not bool(self.tangled.any()):
                 break
+            flips = torch.zeros_like(best)
             if self.options.topology != "keep":
-                self._flip("flip", self.tangled, FlipOptions.paper())
-            self._untangle("untangle-beta", self.tangled, self._turn(turn))
+                flips = self._flip("flip", self.tangled, FlipOptions.paper())
+            iterations = self._untangle("untangle-beta", self.tangled, self._turn(turn))
+            # No flip, and a minimum already: once more would be the same again.
+            quiet = torch.where((flips == 0) & (iterations <= _AT_REST), quiet + 1, 0)
             short = self._turn(turn).max_iterations < self.options.untangle.max_iterations
             since = torch.where((self.quality.inverted < best) | short, 0, since + 1)
             best = torch.minimum(best, self.quality.inverted)
-            self.status[self.tangled & (since >= patience)] = Status.STALLED
+            self.status[self.tangled & ((since >= patience) | (quiet >= _QUIET_ROUNDS))] = Status.STALLED
         self.status[self.tangled] = Status.ITERATION_LIMIT
         self._smooth("smooth", self.quality.inverted == 0, self.options.smooth)
         self.status[self.status == Status.RUNNING] = Status.SETTLED
@@ -141,8 +149,9 @@ class Job:
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
             self._try("pockets", self.batch, untangle_batch_by_pockets)
-        for origin, options in ((self.given, UntangleOptions()), (relaxed, UntangleOptions(size_sweeps=(100,)))):
-            self._regularised(origin, options)
+        self._regularised(self.given, UntangleOptions())
+        elsewhere = segment_any((relaxed.points != self.given.points).any(1), self.given.point_offsets)
+        self._regularised(relaxed, UntangleOptions(size_sweeps=(100,)), elsewhere)
         self.status[self.tangled] = Status.STALLED
 
     def refine(self) -> None:
@@ -238,11 +247,22 @@ class Job:
     def report(self) -> Report:
         """The certificate and the log."""
         valid = self.quality.inverted == 0
-        messages = [self.messages.get(b, Status(int(status)).message) for b, status in enumerate(self.status.tolist())]
+        messages = [self._message(b, Status(status)) for b, status in enumerate(self.status.tolist())]
         certified = valid & same_frame(
             self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map
         )
         return Report(self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed)
+
+    def _message(self, b: int, status: Status) -> str:
+        """Why mesh `b` ended."""
+        text, left = self.messages.get(b, status.message), self.steps[b][-1].inverted
+        if status not in (Status.STALLED, Status.ITERATION_LIMIT) or not left:
+            return text
+        tried = dict.fromkeys(step.stage for step in self.steps[b][1:])
+        text = f"{text}; {left} inverted triangles are left after {', '.join(tried)}"
+        if self.options.topology == "keep":
+            text += ": these triangles may have no valid places; topology 'flip' may change their edges"
+        return text
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions, near: Tensor | None = None) -> Tensor:
         """Flip in the meshes `at`, at the vertices `near` (V,) bool to begin with; returns the flips (B,)."""
@@ -264,15 +284,24 @@ class Job:
             self._twin = connectivity.twins(self.batch.triangles)
         return select_twins(self.batch, self._twin, at)
 
-    def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> None:
+    def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> Tensor:
+        """Move the vertices of the meshes `at`; returns the iterations (B,)."""
+        iterations = torch.zeros_like(self.status)
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
                 part, info = untangle(part, options, monitor=self._monitor(stage, at))
+                iterations[at] = info.iterations
                 done(part, iterations=info.iterations)
+        return iterations
 
     def _smooth(self, stage: str, at: Tensor, options: SmoothOptions, near: Tensor | None = None) -> None:
         """Smooth the meshes `at`; only the vertices `near` (V,) bool move."""
+        if options.single:
+            # In eighth powers, slivers leave the range of single precision.
+            slivers = at & (self.quality.max > _COARSE)
+            self._smooth(stage, slivers, replace(options, single=False), near)
+            at = at & ~slivers
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
@@ -284,9 +313,14 @@ class Job:
                     self.rails = self.rails.put(at, info.rails)
                 done(part, iterations=info.iterations)
 
-    def _try(self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple]) -> None:
-        """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now."""
-        at = self.tangled
+    def _try(
+        self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple], among: Tensor | None = None
+    ) -> None:
+        """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now.
+
+        among  (B,) bool, these meshes only
+        """
+        at = self.tangled if among is None else self.tangled & among
         if not bool(at.any()):
             return
         with self._stage(stage, at) as done:
@@ -299,17 +333,13 @@ class Job:
                 pockets=getattr(info, "pockets", None),
                 kept=better,
             )
-        if options.single:
-            # In eighth powers, slivers leave the range of single precision.
-            slivers = at & (self.quality.max > _COARSE)
-            self._smooth(stage, slivers, replace(options, single=False), near)
-            at = at & ~slivers
             self._twin = None
 
-    def _regularised(self, origin: MeshBatch, options: UntangleOptions) -> None:
+    def _regularised(self, origin: MeshBatch, options: UntangleOptions, among: Tensor | None = None) -> None:
         reference = self.options.reference
-        known = None if reference is None else reference.select(self.tangled)
-        self._try("regularised", origin, lambda part: untangle(part, options, reference=known))
+        at = self.tangled if among is None else self.tangled & among
+        known = None if reference is None else reference.select(at)
+        self._try("regularised", origin, lambda part: untangle(part, options, reference=known), at)
 
     @contextmanager
     def _stage(self, stage: str, at: Tensor) -> Iterator[Callable[..., None]]:
