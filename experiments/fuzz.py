@@ -1,10 +1,14 @@
 """Small random domains with holes and constrained edges, their free vertices anywhere: is each made valid?
 
     python experiments/fuzz.py --count 2000 --seed 0
+    python experiments/fuzz.py --count 300 --seed 0 --cross
 
 A domain is a piece of a random Delaunay triangulation with some triangles taken out, so that its
-outline is ragged, holes may share vertices with it, and constrained edges hang anywhere.  Prints
-what failed, with the seed that makes it again, and exits 1 if anything did.
+outline is ragged, holes may share vertices with it, and constrained edges hang anywhere.  With
+--cross each case has options of its own: topology, boundary, targets, sizes, reference, workers,
+precision, and others with it in a batch.  What comes back is judged apart from the report: signs in
+rational arithmetic, fixed vertices, the given mesh, and for every second case the batch against the
+mesh alone.  Prints what failed, with the seed that makes it again, and exits 1 if anything did.
 """
 
 from __future__ import annotations
@@ -12,6 +16,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import torch
@@ -80,36 +86,109 @@ def case(seed: int) -> tuple[tm.MeshBatch, tm.MeshBatch] | None:
     return None if mesh is None else (mesh, scatter(mesh, rng))
 
 
+def crossed(seed: int, mesh: tm.MeshBatch, tangled: tm.MeshBatch) -> tm.ImproveOptions:
+    """Options drawn for a case: those that go together."""
+    rng = np.random.default_rng([seed, 1])
+    topology = str(rng.choice(["keep", "flip", "flip", "full", "full"]))
+    options: dict[str, Any] = {"topology": topology, "workers": int(rng.integers(1, 3))}
+    if rng.uniform() < 0.3:
+        options["reference"] = mesh
+    if topology != "full" and rng.uniform() < 0.3:
+        options["boundary"] = "slide"
+    elif topology != "full" and rng.uniform() < 0.4:
+        targets = tm.target_from(mesh) if topology == "keep" else tm.metric_from(mesh)
+        options["smooth"] = tm.SmoothOptions(targets=targets)
+    if topology != "keep" and "smooth" not in options:
+        extent = float((tangled.points[tangled.fixed].amax(0) - tangled.points[tangled.fixed].amin(0)).max())
+        lengths = torch.full((len(mesh.points),), 0.2 * extent, dtype=torch.float64)
+        sizes: list[Any] = ["boundary", "boundary", "keep", "uniform", lengths]
+        options["remesh"] = tm.RemeshOptions(sizes=sizes[rng.integers(len(sizes))], split_boundary=topology == "full")
+    return tm.ImproveOptions(**options)
+
+
+def judge(given: tm.MeshBatch, after: tm.MeshBatch, report: tm.Report, options: tm.ImproveOptions) -> str:
+    """What is wrong with the outcome of one mesh; "" if nothing."""
+    valid, status = bool(report.valid), int(report.status)
+    if not bool(after.points.isfinite().all()):
+        return "coordinates that are not finite"
+    if valid != (fallen(after) == 0):
+        return f"said to be {'valid' if valid else 'tangled'}, and {fallen(after)} triangles are not upright"
+    if not valid:
+        if options.topology == "keep":
+            return "" if status in (tm.Status.STALLED, tm.Status.INFEASIBLE) else f"status {status}"
+        # The shift may round two boundary vertices together; then the diagnosis says so.
+        return "" if status == tm.Status.INFEASIBLE else f"{report.messages[0]} ({int(report.quality.inverted)} left)"
+    if not bool(report.certified):
+        return "valid but not certified"
+    if options.topology == "keep" and not torch.equal(after.triangles, given.triangles):
+        return "the triangles changed"
+    if options.topology == "flip" and after.points.shape != given.points.shape:
+        return "the number of vertices changed"
+    new = torch.arange(len(given.points)) if report.vertex_map is None else report.vertex_map.old_to_new
+    held = given.fixed.nonzero().squeeze(1)
+    if options.slides:
+        return ""
+    if bool((new[held] < 0).any()) or not torch.equal(after.points[new[held]], given.points[held]):
+        return "a fixed vertex moved or is gone"
+    return ""
+
+
+def fallen(mesh: tm.MeshBatch) -> int:
+    """How many triangles are not upright, in rational arithmetic."""
+    points = [tuple(map(Fraction, p)) for p in mesh.points.tolist()]
+    count = 0
+    for a, b, c in mesh.triangles.tolist():
+        (ax, ay), (bx, by), (cx, cy) = points[a], points[b], points[c]
+        count += (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) <= 0
+    return count
+
+
+def run(seed: int, cross: bool, topology: str) -> str | None:
+    """What went wrong with a case; "" if nothing, "impossible" if the mesh was refused, None for no case."""
+    made = case(seed)
+    if made is None:
+        return None
+    mesh, tangled = made
+    options = crossed(seed, mesh, tangled) if cross else tm.ImproveOptions(topology=topology)
+    if cross and seed % 5 == 0 and options.reference is None and options.smooth.targets is None:
+        try:
+            tangled = tangled.to(torch.float32)
+            tm.MeshBatch.from_arrays(tangled.points, tangled.triangles)
+        except tm.InvalidMeshError:
+            return "impossible"
+    after, report = tm.improve(tangled, options)
+    wrong = judge(tangled, after, report, options)
+    alone = options.separable and seed % 2 == 0
+    if cross and not wrong and alone:
+        other = case(seed + 1) or made
+        both, _ = tm.improve(tm.join([other[1].to(tangled.points.dtype), tangled]), options)
+        last = both.split()[1]
+        if not torch.equal(last.points, after.points) or not torch.equal(last.triangles, after.triangles):
+            return "another result in a batch than alone"
+    return wrong or ("impossible" if int(report.status) == tm.Status.INFEASIBLE else "")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--topology", choices=["flip", "full"], default="flip")
+    parser.add_argument("--cross", action="store_true", help="options drawn for each case")
     arguments = parser.parse_args()
-    options = tm.ImproveOptions(topology=arguments.topology)
     torch.set_num_threads(1)
     started, failed, done, refused = time.perf_counter(), 0, 0, 0
     for seed in range(arguments.seed, arguments.seed + arguments.count):
-        made = case(seed)
-        if made is None:
+        try:
+            wrong = run(seed, arguments.cross, arguments.topology)
+        except Exception as error:
+            wrong = f"{type(error).__name__}: {error}"
+        if wrong is None:
             continue
         done += 1
-        try:
-            _, report = tm.improve(made[1], options)
-        except Exception as error:
+        refused += wrong == "impossible"
+        if wrong and wrong != "impossible":
             failed += 1
-            print(f"seed {seed}: {type(error).__name__}: {error}")
-            continue
-        if not bool(report.valid.all()):
-            # The shift may round two boundary vertices together; then the diagnosis says so.
-            if int(report.status) == tm.Status.INFEASIBLE:
-                refused += 1
-                continue
-            failed += 1
-            print(f"seed {seed}: {report.messages[0]} ({int(report.quality.inverted)} inverted)")
-        elif not bool(report.certified.all()):
-            failed += 1
-            print(f"seed {seed}: valid but not certified")
+            print(f"seed {seed}: {wrong}", flush=True)
     seconds = time.perf_counter() - started
     print(f"{done} meshes, {failed} failed, {refused} said to be impossible, {seconds:.0f} s")
     return int(failed > 0)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from . import connectivity
+from .insertion import signs
 from .mesh import MeshBatch
 from .obstructions import fallen_fixed_triangles, vertices_without_kernel
 from .polygons import crossing_pairs, loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
@@ -60,6 +61,7 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
               without a problem may still have no valid places
     most      how many problems of one kind are told of one mesh
 
+    A mesh, or a piece of it, that has no inverted triangle is valid, and nothing is said of it.
     Pieces of a mesh not joined by edges may lie over each other.  Loops may share vertices.  What
     lies inside what is looked at only in meshes whose edges do not cross.  Signs are exact.
     """
@@ -84,6 +86,12 @@ _Found = tuple[ProblemKind, str, tuple[int, ...], tuple[float, float]]
 def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
     points = mesh.points.detach().to("cpu", torch.float64).numpy()
     triangles = mesh.triangles.cpu()
+    piece = connectivity.triangle_components(triangles, connectivity.twins(triangles))
+    fallen = torch.from_numpy(signs(points, *triangles.numpy().T) <= 0)
+    # A piece whose triangles are all upright is valid, whatever its boundary does.
+    triangles = triangles[torch.isin(piece, piece[fallen].unique())]
+    if not len(triangles):
+        return []
     twin = connectivity.twins(triangles)
     ends = torch.stack([connectivity.tails(triangles), connectivity.heads(triangles)], 1)
     count = len(points)
@@ -108,7 +116,10 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
     if keep:
         on_rim = np.zeros(count, bool)
         on_rim[ends[~inner].numpy()] = True
-        found += _first(_obstructions(points, faces, fixed, used & ~on_rim), most)
+        found += _obstructions(points, faces, fixed, used & ~on_rim, most)
+        if found and len(edges) > _MANY:
+            # Held edges by the hundred thousand take seconds, and that the mesh is impossible is known.
+            edges, what = edges[what != _HELD], what[what != _HELD]
     found += _crossings(points, edges, what, of_piece, fixed, most)
     if not found:
         own = np.repeat(region, 3)
@@ -122,6 +133,8 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
 
 
 _BORDER, _CONSTRAINT, _HELD, _SINGLE = range(4)
+# More edges than this are not all looked at in a mesh that is impossible anyway.
+_MANY = 50_000
 _NAMES = ("boundary edge", "constrained edge", "edge between fixed vertices")
 
 
@@ -138,15 +151,17 @@ def _grouped(label: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     return np.split(rows, np.searchsorted(label[rows], np.arange(1, int(label.max(initial=-1)) + 1)))
 
 
-def _obstructions(points: np.ndarray, faces: np.ndarray, fixed: np.ndarray, inner: np.ndarray) -> Iterator[_Found]:
-    """What stands in the way of the triangles as they are."""
-    for row in fallen_fixed_triangles(points, faces, fixed).tolist():
+def _obstructions(
+    points: np.ndarray, faces: np.ndarray, fixed: np.ndarray, inner: np.ndarray, most: int
+) -> Iterator[_Found]:
+    """What stands in the way of the triangles as they are, `most` of each kind at most."""
+    for row in fallen_fixed_triangles(points, faces, fixed)[:most].tolist():
         place = _at(points[faces[row]].mean(0))
         text = (
             f"triangles row {row} {faces[row].tolist()} at {_text(place)} has three fixed vertices, and is not upright"
         )
         yield ProblemKind.FIXED_TRIANGLE, text, tuple(faces[row].tolist()), place
-    for v in vertices_without_kernel(points, faces, fixed, inner).tolist():
+    for v in vertices_without_kernel(points, faces, fixed, inner, most)[:most].tolist():
         ring = np.setdiff1d(faces[(faces == v).any(1)], [v])
         place = _at(points[ring].mean(0))
         text = f"the vertices round vertex {v}, near {_text(place)}, are fixed and leave it no place"

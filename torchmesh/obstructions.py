@@ -13,6 +13,8 @@ from .insertion import signs
 
 # Up to this many triangles round a vertex all triples of them are asked; beyond, a linear program.
 _TRIPLES = 14
+# Vertices judged at once.
+_CHUNK = 1000
 # What a linear program's maximum must fall short of zero by, in units of the ring's extent.
 _SHORT = 1e-7
 
@@ -24,9 +26,11 @@ def fallen_fixed_triangles(points: np.ndarray, triangles: np.ndarray, fixed: np.
 
 
 def vertices_without_kernel(
-    points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, inner: np.ndarray
+    points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, inner: np.ndarray, enough: int | None = None
 ) -> np.ndarray:
     """(N,) the free vertices of `inner` (V,) bool for which the fixed ring round them leaves no place.
+
+    enough  having found so many, look no further
 
     A place is good when it lies strictly left of every edge of the ring.  By Helly's theorem there
     is none exactly if three of these half-planes have nothing in common.
@@ -46,12 +50,17 @@ def vertices_without_kernel(
     order = np.argsort(centre, kind="stable")
     centre, ring = centre[order], ring[order]
     vertices, start, degree = np.unique(centre, return_index=True, return_counts=True)
-    found = []
+    found = [vertices[:0]]
     for d in np.unique(degree).tolist():
-        at = np.flatnonzero(degree == d)
-        edges = ring[start[at][:, None] + np.arange(d)]
-        empty = _empty_by_triples(points, edges) if d <= _TRIPLES else _empty_by_program(points, edges)
-        found.append(vertices[at[empty]])
+        same = np.flatnonzero(degree == d)
+        chunk = _CHUNK if d <= _TRIPLES else 1
+        for first in range(0, len(same), chunk):
+            if enough is not None and sum(map(len, found)) >= enough:
+                break
+            at = same[first : first + chunk]
+            edges = ring[start[at][:, None] + np.arange(d)]
+            empty = _empty_by_triples(points, edges) if d <= _TRIPLES else _empty_by_program(points, edges)
+            found.append(vertices[at[empty]])
     return np.sort(np.concatenate(found))
 
 

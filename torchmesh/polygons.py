@@ -12,8 +12,9 @@ from .insertion import Obstacle, Triangulation, signs
 
 # Rows of a vertices-times-edges table worked on at once.
 _CHUNK = 2_000_000
-# Pairs of segments judged at once.
+# Pairs of segments judged at once, and segments whose partners are looked for first.
 _PAIRS = 100_000
+_FIRST_ROWS = 16
 
 
 def unit_exponent(points: np.ndarray) -> int:
@@ -57,21 +58,27 @@ def crossing_pairs(
     import shapely
 
     boxes = shapely.box(left[:, 0], left[:, 1], right[:, 0], right[:, 1])
-    i, j = shapely.STRtree(boxes).query(boxes)
-    near = i < j
-    if group is not None:
-        near &= group[i] == group[j]
-    i, j = i[near], j[near]
-    # Boxes computed again here: what GEOS does with zero-width boxes need not concern us.
-    near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(1)
-    pairs = np.stack([i[near], j[near]], 1).astype(np.int64)
+    tree = shapely.STRtree(boxes)
     found: list[np.ndarray] = []
-    for start in range(0, len(pairs), _PAIRS):
-        part = pairs[start : start + _PAIRS]
-        found.append(part[_meet(points, segments[part[:, 0]], segments[part[:, 1]])])
-        if enough is not None and sum(map(len, found)) >= enough:
-            break
-    return np.concatenate(found) if found else pairs
+    start, rows = 0, _FIRST_ROWS
+    while start < len(boxes):
+        i, j = tree.query(boxes[start : start + rows])
+        i = i + start
+        # Long segments lie in each other's boxes by the thousand: few at a time then, many where they are short.
+        start, rows = start + rows, max(1, min(_PAIRS, rows * _PAIRS // max(1, len(i))))
+        near = i < j
+        if group is not None:
+            near &= group[i] == group[j]
+        i, j = i[near], j[near]
+        # Boxes computed again here: what GEOS does with zero-width boxes need not concern us.
+        near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(1)
+        pairs = np.stack([i[near], j[near]], 1).astype(np.int64)
+        for first in range(0, len(pairs), _PAIRS):
+            part = pairs[first : first + _PAIRS]
+            found.append(part[_meet(points, segments[part[:, 0]], segments[part[:, 1]])])
+            if enough is not None and sum(map(len, found)) >= enough:
+                return np.concatenate(found)
+    return np.concatenate(found) if found else np.zeros((0, 2), np.int64)
 
 
 def _swept(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
