@@ -28,7 +28,7 @@ FLOORS = [
     ["quality"],
     ["targets"],
     ["delaunay", "metrics", "pockets", "diagnosis", "paths", "genealogy", "sizing"],
-    ["warping", "unscrambling", "pyg", "sliding"],
+    ["warping", "unscrambling", "pyg", "sliding", "anisotropy"],
     ["smoothing"],
     ["untangling", "remeshing", "certificate", "polishing"],
     ["relocation"],

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from .connectivity import next_in_triangle, previous_in_triangle
-from .editing import Editable, all_upright, fan_quality, independent, neighbours, within_budget
+from .editing import Editable, all_upright, fan_quality, independent, length, neighbours, within_budget
 
 
 class Collapses(NamedTuple):
@@ -79,15 +79,21 @@ def evaluate(e: Editable, c: Collapses, degree: Tensor) -> Outcome:
     common = ((round_u[:, :, None] == round_w[:, None, :]) & (round_u >= 0)[:, :, None]).sum((1, 2))
     legal = whole & (common == 2) & (closed_w | ~c.moves)
     ring = _Fan.of(e, round_u, count_u)
-    after, before = ring.worst(c.x, c.y, kept=True), ring.worst(e.x[u], e.y[u], kept=False)
-    longest = ring.longest(c.x, c.y, e.size[w])
+    there = there_u = there_w = None
+    if e.metric is not None:
+        there_u, there_w = e.metric[u], e.metric[w]
+        there = torch.where(c.moves[:, None], 0.5 * (there_u + there_w), there_w)
+    after, before = ring.worst(c.x, c.y, True, there), ring.worst(e.x[u], e.y[u], False, there_u)
+    longest = ring.longest(c.x, c.y, e.size[w], there)
     claims = torch.cat([u[:, None], round_u], 1)
     moving = c.moves.nonzero().squeeze(1)
     if len(moving):
         other = _Fan.of(e, round_w[moving], count_w[moving])
-        after[moving] = torch.maximum(after[moving], other.worst(c.x[moving], c.y[moving], kept=True))
-        before[moving] = torch.maximum(before[moving], other.worst(e.x[w[moving]], e.y[w[moving]], kept=False))
-        longest[moving] = torch.maximum(longest[moving], other.longest(c.x[moving], c.y[moving], e.size[w[moving]]))
+        there, there_w = (None if m is None else m[moving] for m in (there, there_w))
+        far = other.longest(c.x[moving], c.y[moving], e.size[w[moving]], there)
+        after[moving] = torch.maximum(after[moving], other.worst(c.x[moving], c.y[moving], True, there))
+        before[moving] = torch.maximum(before[moving], other.worst(e.x[w[moving]], e.y[w[moving]], False, there_w))
+        longest[moving] = torch.maximum(longest[moving], far)
         claims = torch.cat([claims, torch.where(c.moves[:, None], round_w, -1)], 1)
     centres = torch.stack([u, torch.where(c.moves, w, -1)], 1)
     return Outcome(before, torch.where(legal, after, torch.inf), longest, claims, centres)
@@ -128,6 +134,8 @@ def collapse(e: Editable, c: Collapses) -> None:
     e.locked[dead] = False
     e.alive[u] = False
     e.size[w] = torch.where(c.moves, 0.5 * (e.size[u] + e.size[w]), e.size[w])
+    if e.metric is not None:
+        e.metric[w] = torch.where(c.moves[:, None], 0.5 * (e.metric[u] + e.metric[w]), e.metric[w])
     e.x[w], e.y[w] = c.x, c.y
 
 
@@ -221,6 +229,7 @@ class _Fan(NamedTuple):
     x: Tensor
     y: Tensor
     size: Tensor
+    metric: Tensor | None
     a: Tensor
     b: Tensor
     there: Tensor
@@ -232,21 +241,32 @@ class _Fan(NamedTuple):
         there = column < count[:, None]
         last = column == count[:, None] - 1
         b = torch.where(last, ring[:, :1], ring.roll(-1, 1))
-        return cls(e.x, e.y, e.size, ring.clamp_min(0), b.clamp_min(0), there, there & ~last & (column > 0))
+        return cls(e.x, e.y, e.size, e.metric, ring.clamp_min(0), b.clamp_min(0), there, there & ~last & (column > 0))
 
-    def worst(self, px: Tensor, py: Tensor, kept: bool) -> Tensor:
-        """(N,) the largest inverse mean ratio, of those `kept` or of all, with the vertex at px, py (N,)."""
+    def worst(self, px: Tensor, py: Tensor, kept: bool, there: Tensor | None) -> Tensor:
+        """(N,) the largest inverse mean ratio, of those `kept` or of all, with the vertex at px, py (N,).
+
+        there  (N, 3) the metric at that place; None: that of the plane
+        """
         if not self.a.shape[1]:
             return torch.zeros_like(px)
-        ratio = fan_quality(px[:, None], py[:, None], self.x[self.a], self.y[self.a], self.x[self.b], self.y[self.b])
+        metric = None
+        if self.metric is not None and there is not None:
+            metric = there[:, None] + self.metric[self.a] + self.metric[self.b]
+        ratio = fan_quality(
+            px[:, None], py[:, None], self.x[self.a], self.y[self.a], self.x[self.b], self.y[self.b], metric
+        )
         return torch.where(self.kept if kept else self.there, ratio, 0.0).amax(1)
 
-    def longest(self, px: Tensor, py: Tensor, size: Tensor) -> Tensor:
+    def longest(self, px: Tensor, py: Tensor, size: Tensor, there: Tensor | None) -> Tensor:
         """(N,) the longest edge from px, py to the ring but for its first vertex, relative to the sizes wanted."""
         dx, dy = self.x[self.a] - px[:, None], self.y[self.a] - py[:, None]
-        length = 2 * (dx * dx + dy * dy).sqrt() / (size[:, None] + self.size[self.a])
+        metric = None
+        if self.metric is not None and there is not None:
+            metric = 0.5 * (there[:, None] + self.metric[self.a])
+        relative = 2 * length(dx, dy, metric) / (size[:, None] + self.size[self.a])
         if not self.a.shape[1]:
             return torch.zeros_like(px)
         away = self.there.clone()
         away[:, :1] = False
-        return torch.where(away, length, 0.0).amax(1)
+        return torch.where(away, relative, 0.0).amax(1)

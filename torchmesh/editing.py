@@ -35,6 +35,7 @@ class Editable:
     fresh     the next name for a vertex
     births    list of (N, 3): name of the new vertex and of the two ends of the edge it halves
     meshes    how many there are
+    metric    (V, 3) float64, the metric at each vertex, of determinant 1; None: that of the plane
     """
 
     x: Tensor
@@ -51,6 +52,7 @@ class Editable:
     fresh: int
     births: list[Tensor]
     meshes: int
+    metric: Tensor | None = None
 
     @property
     def triangles(self) -> Tensor:
@@ -70,7 +72,8 @@ class Editable:
         """(N,) length of the edges h over the mean of the sizes wanted at their ends."""
         u, w = self.vertex[h], self.head(h)
         dx, dy = self.x[w] - self.x[u], self.y[w] - self.y[u]
-        return 2 * (dx * dx + dy * dy).sqrt() / (self.size[u] + self.size[w])
+        metric = None if self.metric is None else 0.5 * (self.metric[u] + self.metric[w])
+        return 2 * length(dx, dy, metric) / (self.size[u] + self.size[w])
 
     def shuffled(self, h: Tensor, rank: Tensor) -> Tensor:
         """(N,) int64 keys that order the edges h by `rank` (N,) coarsely, and as good as at random among near equals.
@@ -148,10 +151,32 @@ def neighbours(vertex: Tensor, twin: Tensor, start: Tensor) -> tuple[Tensor, Ten
     return torch.stack(columns, 1), closed
 
 
-def fan_quality(px: Tensor, py: Tensor, ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor) -> Tensor:
-    """Inverse mean ratio (Munson 2007) of the triangles p a b, infinite where they are not upright."""
+def length(dx: Tensor, dy: Tensor, metric: Tensor | None = None) -> Tensor:
+    """(...) length of the steps; metric (..., 3) in which they are measured, None: that of the plane."""
+    if metric is None:
+        return (dx * dx + dy * dy).sqrt()
+    m11, m12, m22 = metric.unbind(-1)
+    return (m11 * dx * dx + 2 * m12 * dx * dy + m22 * dy * dy).sqrt()
+
+
+def fan_quality(
+    px: Tensor, py: Tensor, ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, metric: Tensor | None = None
+) -> Tensor:
+    """Inverse mean ratio (Munson 2007) of the triangles p a b, infinite where they are not upright.
+
+    metric  (..., 3) in which it is measured, of any determinant; None: that of the plane
+    """
     ux, uy, vx, vy = ax - px, ay - py, bx - px, by - py
     double_area = ux * vy - uy * vx
+    if metric is not None:
+        m11, m12, m22 = metric.unbind(-1)
+        ratio = (
+            m11 * (ux * ux + vx * vx - ux * vx)
+            + m22 * (uy * uy + vy * vy - uy * vy)
+            + m12 * (2 * (ux * uy + vx * vy) - (ux * vy + uy * vx))
+        ) / (SQRT3 * (m11 * m22 - m12 * m12).sqrt())
+        upright = double_area > 0
+        return torch.where(upright, ratio / torch.where(upright, double_area, 1.0), torch.inf)
     # |u|^2 + |v|^2 + |u - v|^2 over 2 sqrt(3) times the double area.
     squares = ux * ux + uy * uy + vx * vx + vy * vy - (ux * vx + uy * vy)
     upright = double_area > 0
@@ -195,6 +220,12 @@ def within_budget(owner: Tensor, rank: Tensor, budget: Tensor) -> Tensor:
     return inside
 
 
+def living(e: Editable) -> Tensor:
+    """(V,) the old row of each vertex that `compact` keeps."""
+    kept = e.alive.nonzero().squeeze(1)
+    return kept[e.mesh[kept].argsort(stable=True)]
+
+
 def compact(e: Editable) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """The living rows, each mesh's together: rows of vertices, triangles (T, 3), locked edges (K, 2), counts.
 
@@ -202,8 +233,7 @@ def compact(e: Editable) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     are not on the boundary (K, 2), and the vertices and triangles of each mesh (B,).
     Within a mesh rows keep their order.
     """
-    kept = e.alive.nonzero().squeeze(1)
-    kept = kept[e.mesh[kept].argsort(stable=True)]
+    kept = living(e)
     new = torch.full_like(e.mesh, -1)
     new[kept] = torch.arange(len(kept), device=kept.device)
     faces = e.triangles[e.triangles[:, 0] >= 0]

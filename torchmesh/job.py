@@ -31,7 +31,7 @@ from .sizing import size_field
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
-from .targets import MetricField, narrow
+from .targets import MetricField, as_targets, narrow
 from .unscrambling import unscramble
 from .untangling import UntangleOptions, untangle
 from .warping import femwarp
@@ -71,6 +71,7 @@ class Job:
         # (V,) bool: the fixed vertices that do not slide either.
         self.stays = batch.fixed if self.rails is None else batch.fixed & ~self.rails.may_slide(batch.point_offsets)
         self.options, self.progress, self.observe = options, progress, observe
+        self.targets = as_targets(options.smooth.targets)
         self.quality = quality(batch)
         self._twin: Tensor | None = None
         self.remeshed: RemeshInfo | None = None
@@ -225,19 +226,24 @@ class Job:
                 work.improve(at)
                 self._twin = None
                 done(work.batch, flips=work.flips[at])
+            if work.metric is not None:
+                self.targets = MetricField(work.metric)
             if self.rails is not None:
                 new_row = work.names.vertex_map().old_to_new
                 self.rails = self.rails.renumbered(new_row, self.given.point_offsets, self.batch.point_offsets)
                 self._smooth("smooth", at, self.options.smooth)
                 self._flip("flip", at, FlipOptions(rule="shape"))
                 self._smooth("smooth", at, self.options.smooth)
-            self.polish()
+            if self.targets is None:
+                self.polish()
             work.batch = self.batch
         self.remeshed = work.info()
 
     def _sized(self, at: Tensor) -> RemeshOptions:
         """What was asked of remeshing, with the sizes at the vertices of the meshes `at` (B,) bool."""
         options, reference = self.options.remesh, self.options.reference
+        if self.targets is not None:
+            options = replace(options, smooth=replace(options.smooth, targets=narrow(self.targets, self.batch, at)))
         if reference is not None and isinstance(options.sizes, str) and options.sizes == "keep":
             options = replace(options, sizes=size_field(reference, "keep"))
         if isinstance(options.sizes, Tensor):
@@ -271,7 +277,7 @@ class Job:
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
                 around = None if near is None else touching(part, near[spread(at, self.batch.point_offsets)])
-                targets = narrow(self.options.smooth.targets, self.given, at) if options.rule == "shape" else None
+                targets = narrow(self.targets, self.batch, at) if options.rule == "shape" else None
                 metric = targets if isinstance(targets, MetricField) else None
                 part, info = flip_to_delaunay(part, options, twin=self._twins(at), around=around, metric=metric)
                 flips[at] = info.flips
@@ -306,7 +312,7 @@ class Job:
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
                 free = None if near is None or self.rails is not None else near[spread(at, self.batch.point_offsets)]
-                options = replace(options, targets=narrow(self.options.smooth.targets, self.given, at))
+                options = replace(options, targets=narrow(self.targets, self.batch, at))
                 rails = None if self.rails is None else self.rails.select(at)
                 part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at), rails=rails)
                 if self.rails is not None and info.rails is not None:

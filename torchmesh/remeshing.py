@@ -5,25 +5,27 @@ valid mesh --> sizes --> split long edges, collapse short ones --> flips --> smo
                  +---------------- while edges change or the shapes get better -------+
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
+from .anisotropy import metric_conformity, metric_quality, metric_size_field, unit_metric
 from .collapsing import Collapses, Outcome, collapse_rounds
 from .collapsing import Wish as CollapseWish
 from .connectivity import twins
 from .delaunay import FlipOptions, constrained_half_edges, flip_to_delaunay
-from .editing import Editable, compact
+from .editing import Editable, compact, living
 from .genealogy import Names, VertexMap, exchange
 from .mesh import MeshBatch, vertex_mesh
 from .packing import centre_and_unit
-from .quality import quality
+from .quality import Quality, quality
 from .segments import counts_from_offsets, offsets_from_counts, segment_any, spread
 from .sizing import SizeConformity, Sizes, carried, check_sizes, size_conformity, size_field
 from .smoothing import SmoothOptions, smooth
 from .splitting import Wish as SplitWish
 from .splitting import split_rounds, worst_after
+from .targets import MetricField
 
 # A mesh is done when fewer than one edge is split or collapsed for so many triangles.
 _FEW = 500
@@ -41,7 +43,8 @@ class RemeshOptions:
     worst           no split or collapse makes a triangle of higher inverse mean ratio, unless one as bad was there
     split_boundary  may boundary and constrained edges be halved?  Their course stays as it is
     max_rounds      rounds of splitting, collapsing, flipping and smoothing at most
-    smooth          the last smoothing
+    smooth          the last smoothing.  A metric field as its `targets` holds for all of the remeshing: lengths
+                    and shapes are then those that it measures, so that it stretches edges and leaves areas alone
     """
 
     sizes: Sizes = "boundary"
@@ -62,6 +65,11 @@ class RemeshOptions:
             )
         if not self.worst > 1:
             raise ValueError(f"RemeshOptions.worst must be above 1, the ideal, not {self.worst}")
+        if isinstance(self.smooth.targets, Tensor):
+            raise ValueError(
+                "RemeshOptions.smooth.targets are matrices of triangles, which come and go here: give a MetricField "
+                "(metric_from, MetricField.from_targets)"
+            )
         if self.max_rounds < 0:
             raise ValueError(f"RemeshOptions.max_rounds must not be negative, but is {self.max_rounds}")
 
@@ -112,6 +120,10 @@ class Remeshing:
         self.names = Names(len(batch.points), batch.points.device)
         self.wanted = counts_from_offsets(batch.triangle_offsets)
         self.size: Tensor | None = None
+        targets = options.smooth.targets
+        self.targets = targets if isinstance(targets, MetricField) else None
+        # (V, 3) what the targets are at the vertices there are.
+        self.metric = None if self.targets is None else self.targets.at_vertices(batch)
         self.longest = options.split_above
         zero = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
         self.splits, self.collapses, self.flips, self.rounds = zero, zero.clone(), zero.clone(), zero.clone()
@@ -123,7 +135,7 @@ class Remeshing:
         # Rows of right-angled triangles fit their sizes, and no single split or collapse betters them.
         ceiling = self.options.smooth.ceiling or 1.0
         for shake in self.shakes:
-            before = quality(self.batch)
+            before = self._quality()
             rough = going & (before.mean > self.rough) & (self.rounds > 0)
             if not bool(rough.any()):
                 break
@@ -133,38 +145,53 @@ class Remeshing:
             self.longest = self.options.split_above
             self._settle(rough)
             self._rounds(rough)
-            after = quality(self.batch)
+            after = self._quality()
             worse = (after.mean >= before.mean) | (after.max > before.max.clamp_min(ceiling))
             self._restore(rough & worse, ordered)
         self._polish(going)
 
+    def _quality(self) -> Quality:
+        return quality(self.batch) if self.metric is None else metric_quality(self.batch, self.metric)
+
+    def _metric_of(self, rows: Tensor) -> MetricField | None:
+        """The metric at some of the vertices, as targets."""
+        return None if self.metric is None else MetricField(self.metric[rows])
+
     def _rounds(self, going: Tensor) -> None:
         """Split, collapse, flip and smooth in turn, until hardly an edge changes or the shapes no longer gain."""
-        before = quality(self.batch)
+        before = self._quality()
         for turn in range(self.options.max_rounds):
             if not bool(going.any()):
                 break
             changed = self._cut(going, self.options.collapse_below, self.options.split_above)
             self._settle(going)
             self.rounds[going] += 1
-            now = quality(self.batch)
+            now = self._quality()
             few = _FEW * changed <= counts_from_offsets(self.batch.triangle_offsets)
             stuck = (before.mean - now.mean < 1e-4) & (before.max - now.max < 1e-3 * now.max)
             going = going & ~few & ~(stuck & (turn > 0))
             before = now
 
-    def _state(self) -> tuple[MeshBatch, Tensor, Tensor, Tensor, Tensor]:
+    def _fields(self) -> list[Tensor]:
+        """What each vertex has: the size wanted, its name, and its metric, if there is one."""
         assert self.size is not None
-        return self.batch, self.size, self.names.of, self.splits.clone(), self.collapses.clone()
+        return [self.size, self.names.of] + ([] if self.metric is None else [self.metric])
 
-    def _restore(self, at: Tensor, state: tuple[MeshBatch, Tensor, Tensor, Tensor, Tensor]) -> None:
+    def _exchange(self, at: Tensor, part: MeshBatch, fields: list[Tensor]) -> None:
+        """Put `part` and what its vertices have in the place of the meshes `at` (B,) bool."""
+        pairs = list(zip(self._fields(), fields, strict=True))
+        self.batch, self.size, self.names.of, *metric = exchange(self.batch, at, part, pairs)
+        self.metric = metric[0] if metric else None
+
+    def _state(self) -> tuple[MeshBatch, list[Tensor], Tensor, Tensor]:
+        return self.batch, self._fields(), self.splits.clone(), self.collapses.clone()
+
+    def _restore(self, at: Tensor, state: tuple[MeshBatch, list[Tensor], Tensor, Tensor]) -> None:
         """Take the meshes `at` (B,) bool back to what they were, and what brought them there out of the counts."""
         if bool(at.any()):
-            batch, size, names, splits, collapses = state
-            rows, now = spread(at, batch.point_offsets), self._state()
-            self.batch, self.size, self.names.of = exchange(
-                now[0], at, batch.select(at), [(now[1], size[rows]), (now[2], names[rows])]
-            )
+            batch, fields, splits, collapses = state
+            rows = spread(at, batch.point_offsets)
+            self._exchange(at, batch.select(at), [values[rows] for values in fields])
             self.splits = torch.where(at, splits, self.splits)
             self.collapses = torch.where(at, collapses, self.collapses)
 
@@ -175,11 +202,11 @@ class Remeshing:
         the ceiling of the smoothing.  With sizes that the user asked for, it is enough if no triangle is worse
         than the worst there was, or than `options.worst`.
         """
-        before = quality(self.batch)
+        before = self._quality()
         self.size = self._sizes(going)
         given = self._state()
         self.run(going)
-        after = quality(self.batch)
+        after = self._quality()
         if isinstance(self.options.sizes, str) and self.options.sizes == "boundary":
             ceiling = self.options.smooth.ceiling or 1.0
             good = (after.mean <= before.mean) & (after.max <= (_SLACK * before.max).clamp_min(ceiling))
@@ -196,17 +223,27 @@ class Remeshing:
 
     def info(self) -> RemeshInfo:
         size = size_field(self.batch, "keep") if self.size is None else self.size
+        conformity = (
+            size_conformity(self.batch, size)
+            if self.metric is None
+            else metric_conformity(self.batch, size, self.metric)
+        )
         return RemeshInfo(
-            self.splits, self.collapses, self.flips, self.rounds, self.names.vertex_map(), size,
-            size_conformity(self.batch, size),
-        )  # fmt: skip
+            self.splits, self.collapses, self.flips, self.rounds, self.names.vertex_map(), size, conformity
+        )
+
+    def _size_field(self, part: MeshBatch, sizes: Sizes, rows: Tensor, going: Tensor) -> Tensor:
+        """(V',) the sizes of `part`, the meshes `going` (B,), whose vertices are the `rows` (V,) bool."""
+        if self.metric is None:
+            return size_field(part, sizes, triangles=self.wanted[going])
+        return metric_size_field(part, sizes, self.metric[rows], self.wanted[going])
 
     def _sizes(self, going: Tensor) -> Tensor:
         """(V,) what is wanted in the meshes `going` (B,), what there is in the others, which may be tangled."""
         size = size_field(self.batch, "keep")
         if bool(going.any()):
             part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
-            size[rows] = self._scaled(part, size_field(part, self._sizes_of(rows), triangles=self.wanted[going]))
+            size[rows] = self._scaled(part, self._size_field(part, self._sizes_of(rows), rows, going))
         return size
 
     def _scaled(self, part: MeshBatch, size: Tensor) -> Tensor:
@@ -217,16 +254,17 @@ class Remeshing:
         """Split edges above `long` of their size in the meshes `going`, collapse those below `short`; how many (B,)."""
         assert self.size is not None
         part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
-        e = editable(part, self.size[rows], self.names, self.names.of[rows])
+        size, names, *metric = (values[rows] for values in self._fields())
+        e = editable(part, size, self.names, names, *metric)
         splits = split_rounds(e, self._too_long(e, long), allow_fixed=self.options.split_boundary)
         collapses = collapse_rounds(e, self._too_short(e, short), self._harmless)
         self.splits[going] += splits
         self.collapses[going] += collapses
         self.names.fresh = e.fresh
-        part, size, names = rebuilt(part, e)
-        self.batch, self.size, self.names.of = exchange(
-            self.batch, going, part, [(self.size, size), (self.names.of, names)]
-        )
+        part, *fields = rebuilt(part, e)
+        if e.metric is not None:
+            fields.append(unit_metric(e.metric[living(e)]))
+        self._exchange(going, part, fields)
         changed = torch.zeros_like(self.splits)
         changed[going] = splits + collapses
         return changed
@@ -255,8 +293,9 @@ class Remeshing:
     def _settle(self, going: Tensor, iterations: int = 15) -> Tensor:
         """Flip, smooth, and read the sizes anew where the vertices are then; the flips of each mesh (B,)."""
         part = self.batch.select(going)
-        part, info = flip_to_delaunay(part, FlipOptions(rule="shape"))
-        moved, _ = smooth(part, SmoothOptions(max_iterations=iterations, energy_tolerance=1e-3))
+        metric = self._metric_of(spread(going, self.batch.point_offsets))
+        part, info = flip_to_delaunay(part, FlipOptions(rule="shape"), metric=metric)
+        moved, _ = smooth(part, SmoothOptions(max_iterations=iterations, energy_tolerance=1e-3, targets=metric))
         self._renew(going, part, moved)
         flips = torch.zeros_like(self.flips)
         flips[going] = info.flips
@@ -267,10 +306,13 @@ class Remeshing:
         assert self.size is not None
         rows = spread(going, self.batch.point_offsets)
         sizes = self.options.sizes
+        if self.metric is not None and self.targets is not None and not isinstance(self.targets.values, Tensor):
+            # A tensor's metric moves with its vertices, a function's is asked for where they are.
+            self.metric = self.metric.index_copy(0, rows.nonzero().squeeze(1), self.targets.at_vertices(after))
         if isinstance(sizes, Tensor) or (isinstance(sizes, str) and sizes == "keep"):
             size = carried(before, self.size[rows], after.points)
         else:
-            size = size_field(after, sizes, triangles=self.wanted[going])
+            size = self._size_field(after, sizes, rows, going)
         size = self._scaled(after, size)
         self.batch, self.size = exchange(self.batch, going, after, [(self.size, size)])
 
@@ -282,10 +324,11 @@ class Remeshing:
             at = at & (self._settle(at, 20) > 0)
         if bool(going.any()):
             part = self.batch.select(going)
-            self._renew(going, part, smooth(part, self.options.smooth)[0])
+            metric = self._metric_of(spread(going, self.batch.point_offsets))
+            self._renew(going, part, smooth(part, replace(self.options.smooth, targets=metric))[0])
 
 
-def editable(batch: MeshBatch, size: Tensor, names: Names, of: Tensor) -> Editable:
+def editable(batch: MeshBatch, size: Tensor, names: Names, of: Tensor, metric: Tensor | None = None) -> Editable:
     """The batch, taken apart for splits and collapses; its vertices are called `of` (V,)."""
     twin = twins(batch.triangles)
     # A power of two changes no sign and keeps every square in range.
@@ -295,6 +338,7 @@ def editable(batch: MeshBatch, size: Tensor, names: Names, of: Tensor) -> Editab
         points[:, 0].contiguous(), points[:, 1].contiguous(), size / unit, batch.fixed.clone(), vertex_mesh(batch),
         of.clone(), batch.triangles.reshape(-1).clone(), twin, constrained_half_edges(batch, twin),
         torch.ones_like(batch.fixed), batch.points.dtype, names.fresh, names.births, len(batch),
+        None if metric is None else metric.clone(),
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from .rails import Rails
 from .segments import segment_any, spread
 from .sliding import Slide, rails_of
 from .status import Status
-from .targets import Targets, aim, check
+from .targets import TargetFunction, Targets, aim, as_targets, check
 from .triangle import corners, squared_edge_lengths
 
 
@@ -32,7 +32,9 @@ class SmoothOptions:
     boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
                       curves they are on, which keep their shape and the areas on both sides
     targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
-                      one a triangle of the batch (`target_from`); or a `MetricField` (`metric_from`)
+                      one a triangle of the batch (`target_from`); a `MetricField` (`metric_from`,
+                      `MetricField.stretched`); or a function of places (N, 2) to target matrices (N, 2, 2), which
+                      becomes one (`MetricField.from_targets`)
     corner_angle      degrees; where such a curve turns by more, the vertex is a corner and stays
     single            compute displacements in single precision, which is faster and good for rough work on
                       triangles that are not slivers; not with sliding or targets
@@ -45,7 +47,7 @@ class SmoothOptions:
     gradient_tolerance: float = 1e-6
     boundary: Literal["fixed", "slide"] = "fixed"
     corner_angle: float = 40.0
-    targets: Targets | None = field(default=None, compare=False)
+    targets: Targets | TargetFunction | None = field(default=None, compare=False)
     single: bool = False
 
     def __post_init__(self) -> None:
@@ -59,6 +61,7 @@ class SmoothOptions:
             raise ValueError(f"SmoothOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
         if not 0 <= self.corner_angle <= 180:
             raise ValueError(f"SmoothOptions.corner_angle must lie between 0 and 180 degrees, not {self.corner_angle}")
+        object.__setattr__(self, "targets", as_targets(self.targets))
         if self.targets is not None:
             check(self.targets)
         for name in ("energy_tolerance", "gradient_tolerance"):
@@ -125,8 +128,9 @@ def smooth(
         packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
         edges=packing.edges,
     )
-    if options.targets is not None:
-        objective = aim(objective, batch, packing, options.targets)
+    targets = as_targets(options.targets)
+    if targets is not None:
+        objective = aim(objective, batch, packing, targets)
     slide = None if rails is None else Slide(batch, rails, packing)
     problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
     result = minimise(

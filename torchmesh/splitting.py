@@ -43,13 +43,18 @@ def worst_after(e: Editable, h: Tensor) -> tuple[Tensor, Tensor]:
     """(N,) worst inverse mean ratio of the triangles at the edges h now, and after their split."""
     before, after = torch.zeros_like(e.x[:1]).expand(len(h)), torch.zeros_like(e.x[:1]).expand(len(h))
     mx, my = e.middle(h)
+    whole = first = second = None
     for side in (h, e.twin[h]):
         start = torch.where(side >= 0, side, h)
         u, w, s = e.vertex[start], e.head(start), e.vertex[previous_in_triangle(start)]
         sx, sy, ux, uy, wx, wy = e.x[s], e.y[s], e.x[u], e.y[u], e.x[w], e.y[w]
-        before = torch.maximum(before, fan_quality(sx, sy, ux, uy, wx, wy))
-        after = torch.maximum(after, fan_quality(sx, sy, ux, uy, mx, my))
-        after = torch.maximum(after, fan_quality(sx, sy, mx, my, wx, wy))
+        if e.metric is not None:
+            at_u, at_w, at_s = e.metric[u], e.metric[w], e.metric[s]
+            middle = 0.5 * (at_u + at_w)
+            whole, first, second = at_u + at_w + at_s, at_u + middle + at_s, middle + at_w + at_s
+        before = torch.maximum(before, fan_quality(sx, sy, ux, uy, wx, wy, whole))
+        after = torch.maximum(after, fan_quality(sx, sy, ux, uy, mx, my, first))
+        after = torch.maximum(after, fan_quality(sx, sy, mx, my, wx, wy, second))
     return before, after
 
 
@@ -65,6 +70,8 @@ def split(e: Editable, h: Tensor, new: Tensor, rows: Tensor) -> None:
     lock = e.locked[h]
     e.x[new], e.y[new] = mx, my
     e.size[new] = 0.5 * (e.size[u] + e.size[w])
+    if e.metric is not None:
+        e.metric[new] = 0.5 * (e.metric[u] + e.metric[w])
     e.mesh[new] = e.mesh[u]
     e.alive[new] = True
     e.fixed[new] = lock | (g < 0)
@@ -159,6 +166,8 @@ def append(e: Editable, h: Tensor) -> tuple[Tensor, Tensor]:
     e.origin = torch.cat([e.origin, names])
     for name in ("x", "y", "size"):
         setattr(e, name, torch.cat([getattr(e, name), e.x.new_zeros(count)]))
+    if e.metric is not None:
+        e.metric = torch.cat([e.metric, e.metric.new_zeros((count, 3))])
     e.mesh = torch.cat([e.mesh, e.mesh.new_zeros(count)])
     e.alive = torch.cat([e.alive, e.alive.new_zeros(count)])
     e.fixed = torch.cat([e.fixed, e.fixed.new_zeros(count)])

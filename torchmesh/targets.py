@@ -30,6 +30,9 @@ from .quality import upright
 from .segments import spread
 from .triangle import SQRT3, Corners, corners, inverse_mean_ratio, signed_area, squared_edge_lengths
 
+# A matrix that is symmetric but for this part of its largest entry was rounded, in single precision perhaps.
+_ROUNDING = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class MetricField:
@@ -51,6 +54,59 @@ class MetricField:
         if not isinstance(self.values, Tensor) and not callable(self.values):
             raise ValueError(f"MetricField.values must be a tensor or a function, not {type(self.values).__name__}")
 
+    @classmethod
+    def from_targets(cls, matrices: Tensor | Callable[[Tensor], Tensor]) -> "MetricField":
+        """The metric in which triangles with the target matrix W of their place are equilateral.
+
+        matrices  (V, 2, 2) one W a vertex, or a function of places (N, 2) to (N, 2, 2): the columns are two edges of
+                  the ideal triangle as it lies there, its corner a to b and to c, counter-clockwise; of any size
+
+        M = W^-T E^T E W^-1 with E the equilateral triangle's matrix.  Which edge is the long one, W does not say
+        here, only in which direction triangles are long: so edges may flip.  SmoothOptions(targets=...) takes such a
+        function as it is.  Raises InvalidMeshError, naming the row, where det W is not positive.
+        """
+        if isinstance(matrices, Tensor):
+            return cls(_metric_of_targets(matrices, "targets"))
+        return cls(lambda places: _metric_of_targets(matrices(places), "the target function's result"))
+
+    @classmethod
+    def from_triangles(cls, batch: MeshBatch, matrices: Tensor) -> "MetricField":
+        """The metric of target matrices W (T, 2, 2), one a triangle of the batch: the mean of those round each vertex.
+
+        Each is scaled to determinant 1 first.  Raises InvalidMeshError, naming the row, where det W is not positive.
+        """
+        if len(matrices) != len(batch.triangles):
+            raise InvalidMeshError(
+                f"targets must be {len(batch.triangles)} matrices, one a triangle, not {len(matrices)}"
+            )
+        return cls(_mean_at_vertices(batch, _metric_of_targets(matrices, "targets")))
+
+    @classmethod
+    def stretched(
+        cls,
+        direction: Tensor | Callable[[Tensor], Tensor],
+        aspect: float | Tensor | Callable[[Tensor], Tensor],
+    ) -> "MetricField":
+        """The metric of triangles `aspect` times as long in `direction` as they are wide.
+
+        direction  (V, 2) of any length, or a function of places (N, 2) to (N, 2); where it is 0, equilateral
+        aspect     a number, (V,), or a function of places to (N,), all positive
+
+        I + (1 / aspect^2 - 1) d d^T, d the direction of length 1.  Raises ValueError for a number or tensor that is
+        not positive; what a function returns is checked where it is used.
+        """
+        if not callable(aspect) and not bool((torch.as_tensor(aspect) > 0).all()):
+            raise ValueError(f"MetricField.stretched needs a positive aspect, not {aspect}")
+        if not callable(direction) and not callable(aspect):
+            return cls(_stretching(direction, torch.as_tensor(aspect)))
+
+        def metric(places: Tensor) -> Tensor:
+            there = direction(places) if callable(direction) else direction
+            ratio = aspect(places) if callable(aspect) else torch.as_tensor(aspect, device=places.device)
+            return _stretching(there, ratio)
+
+        return cls(metric)
+
     def at_vertices(self, batch: MeshBatch) -> Tensor:
         """(V, 3) float64 entries of the metric at the batch's vertices, scaled to determinant 1.
 
@@ -64,10 +120,12 @@ class MetricField:
             raise InvalidMeshError(f"{name} must be ({count}, 3) or ({count}, 2, 2), not {tuple(values.shape)}")
         values = values.to(batch.points.device, torch.float64)
         if values.ndim == 3:
-            if not bool((values[:, 0, 1] == values[:, 1, 0]).all()):
-                row = int((values[:, 0, 1] != values[:, 1, 0]).nonzero()[0])
+            skew = (values[:, 0, 1] - values[:, 1, 0]).abs() > _ROUNDING * values.abs().amax((1, 2))
+            if bool(skew.any()):
+                row = int(skew.nonzero()[0])
                 raise InvalidMeshError(f"{name} row {row} is {values[row].tolist()}: a metric is symmetric")
-            values = torch.stack([values[:, 0, 0], values[:, 0, 1], values[:, 1, 1]], 1)
+            mean = 0.5 * values[:, 0, 1] + 0.5 * values[:, 1, 0]
+            values = torch.stack([values[:, 0, 0], mean, values[:, 1, 1]], 1)
         # Near 1 before it is squared.
         size = (values[:, 0] + values[:, 2])[:, None]
         values = values / torch.where(size > 0, size, 1.0)
@@ -83,6 +141,8 @@ class MetricField:
 
 
 Targets = Tensor | MetricField
+# Places (N, 2) to target matrices (N, 2, 2).
+TargetFunction = Callable[[Tensor], Tensor]
 
 
 def target_from(reference: MeshBatch) -> Tensor:
@@ -113,20 +173,55 @@ def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricF
     M = E^-T W^T W E^-1 with W the equilateral triangle, each scaled to determinant 1.  Raises
     InvalidMeshError as `target_from` does, and when `moved` has other triangles.
     """
-    metric = _equilateral_metric(target_from(reference))
-    determinant = metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]
-    metric = metric / determinant.sqrt()[:, None]
+    metric = _metric_of_targets(target_from(reference), "targets")
     if moved is not None:
         if not torch.equal(reference.triangles, moved.triangles):
             raise InvalidMeshError("metric_from needs a moved mesh with the reference's triangles, in their order")
         a, b, c = moved.points.to(torch.float64)[moved.triangles].unbind(1)
         metric = _turned(metric, _equilateral_metric(torch.stack([b - a, c - a], 2)))
-    total = metric.new_zeros((len(reference.points), 3))
+    return MetricField(_mean_at_vertices(reference, metric))
+
+
+def _mean_at_vertices(batch: MeshBatch, metric: Tensor) -> Tensor:
+    """(V, 3) a multiple of the mean of the metrics (T, 3) of the triangles round each vertex."""
+    total = metric.new_zeros((len(batch.points), 3))
     for corner in range(3):
-        total.index_add_(0, reference.triangles[:, corner], metric)
+        total.index_add_(0, batch.triangles[:, corner], metric)
     # Vertices of no triangle have any metric.
     total[total[:, 0] == 0] = total.new_tensor([1.0, 0.0, 1.0])
-    return MetricField(total)
+    return total
+
+
+def _metric_of_targets(matrices: Tensor, name: str) -> Tensor:
+    """(N, 3) the metrics of determinant 1 in which triangles with the matrices W (N, 2, 2) are equilateral."""
+    if matrices.ndim != 3 or matrices.shape[1:] != (2, 2):
+        raise InvalidMeshError(f"{name} must be (N, 2, 2), not {tuple(matrices.shape)}")
+    w = matrices.to(torch.float64)
+    size = w.abs().amax((1, 2))
+    unit = w / torch.where(size > 0, size, 1.0)[:, None, None]
+    determinant = unit[:, 0, 0] * unit[:, 1, 1] - unit[:, 0, 1] * unit[:, 1, 0]
+    bad = ~(determinant > 0)
+    if bool(bad.any()):
+        row = int(bad.nonzero()[0])
+        raise InvalidMeshError(
+            f"{name} row {row} is {matrices[row].tolist()}: the determinant of a target matrix must be positive"
+        )
+    metric = _equilateral_metric(w)
+    determinant = metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]
+    return metric / determinant.sqrt()[:, None]
+
+
+def _stretching(direction: Tensor, aspect: Tensor) -> Tensor:
+    """(N, 3) I + (1 / aspect^2 - 1) d d^T."""
+    if direction.ndim != 2 or direction.shape[1] != 2:
+        raise InvalidMeshError(f"directions must be (N, 2), not {tuple(direction.shape)}")
+    d = direction.to(torch.float64)
+    largest = d.abs().amax(1, keepdim=True)
+    d = d / torch.where(largest > 0, largest, 1.0)
+    x, y = d.unbind(1)
+    square = x * x + y * y
+    factor = (1 / aspect.to(d).square() - 1) / torch.where(square > 0, square, 1.0)
+    return torch.stack([1 + factor * x * x, factor * x * y, 1 + factor * y * y], 1)
 
 
 def _equilateral_metric(edges: Tensor) -> Tensor:
@@ -178,26 +273,29 @@ def target_quality(batch: MeshBatch, targets: Targets) -> Tensor:
     return torch.where(det > 0, stretch / (2 * torch.where(det > 0, det, 1.0)), torch.inf)
 
 
+def as_targets(targets: Targets | TargetFunction | None) -> Targets | None:
+    """A function of places to target matrices as its metric; all else as it is."""
+    return MetricField.from_targets(targets) if callable(targets) else targets
+
+
 def check(targets: object) -> None:
     """Raise ValueError unless these are targets, as far as can be told without a batch."""
     if isinstance(targets, MetricField) or (isinstance(targets, Tensor) and targets.shape[1:] == (2, 2)):
         return
     said = tuple(targets.shape) if isinstance(targets, Tensor) else type(targets).__name__
     raise ValueError(
-        f"SmoothOptions.targets must be a (T, 2, 2) tensor of target matrices or a MetricField, not {said}; "
-        "for a mesh as target use target_from(mesh) or metric_from(mesh)"
+        "SmoothOptions.targets must be a (T, 2, 2) tensor of target matrices, a function of places to such, or a "
+        f"MetricField, not {said}; for a mesh as target use target_from(mesh) or metric_from(mesh)"
     )
 
 
-def check_topology(targets: Targets | None, topology: str) -> None:
+def check_topology(targets: Targets | TargetFunction | None, topology: str) -> None:
     """Raise ValueError where `improve` may change the triangles in ways that these targets do not bear."""
     if isinstance(targets, Tensor) and topology != "keep":
         raise ValueError(
             "ImproveOptions.smooth.targets are matrices of triangles, which do not last when edges flip: "
-            "set topology='keep', or give a MetricField (metric_from)"
+            "set topology='keep', or give a MetricField (metric_from, MetricField.from_triangles)"
         )
-    if targets is not None and topology not in ("keep", "flip"):
-        raise ValueError(f"ImproveOptions.smooth.targets need topology 'keep' or 'flip', not {topology!r}")
 
 
 def narrow(targets: Targets | None, batch: MeshBatch, at: Tensor) -> Targets | None:
