@@ -107,13 +107,13 @@ def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
     equal inverted area flat triangles go, and between two upright pairs the Delaunay one wins.
     The three together strictly decrease in lexicographic order: rounds cannot cycle.
     """
-    delaunay = incircle(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy, q.rx, q.ry) > 0
     left, right = old_signs(q)
     upright = (left > 0) & (right > 0)
-    rank = _cotangent_deficit(q)
-    eligible = upright & delaunay
-    rows = (eligible | ~upright).nonzero().squeeze(1)
+    rank, rounding = _cotangent_deficit(q)
+    # The deficit is positive where the in-circle sign is: far from zero it saves asking for that sign.
+    rows = (~upright | (rank > -rounding)).nonzero().squeeze(1)
     few = _some(q, rows)
+    delaunay = incircle(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy, few.rx, few.ry) > 0
     first, second = new_signs(few)
     made_upright = (first > 0) & (second > 0)
     before = [_double_area(few.ux, few.uy, few.wx, few.wy, few.sx, few.sy)]
@@ -121,17 +121,17 @@ def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
     after = [_double_area(few.ux, few.uy, few.rx, few.ry, few.sx, few.sy)]
     after.append(_double_area(few.rx, few.ry, few.wx, few.wy, few.sx, few.sy))
     gain = _inverted_area(before) - _inverted_area(after)
-    rounding = 1e-14 * torch.stack(before + after).abs().sum(0)
+    smallest = 1e-14 * torch.stack(before + after).abs().sum(0)
     old_left, old_right = left[rows], right[rows]
     count_before = (old_left < 0).to(torch.int8) + (old_right < 0)
     count_after = (first < 0).to(torch.int8) + (second < 0)
-    lower = (gain > rounding) & (count_after <= count_before)
+    lower = (gain > smallest) & (count_after <= count_before)
     unflattened = (old_left >= 0) & (old_right >= 0) & made_upright
     is_upright = upright[rows]
-    eligible = eligible.clone()
-    eligible[rows] = torch.where(is_upright, made_upright, lower | unflattened)
+    eligible = torch.zeros_like(upright)
+    eligible[rows] = torch.where(is_upright, delaunay & made_upright, lower | unflattened)
     # Untangling flips come before Delaunay flips, the largest relative gain first.
-    rank[rows] = torch.where(is_upright, rank[rows], 1e30 * (1 + gain / rounding.clamp_min(1e-300)))
+    rank[rows] = torch.where(is_upright, rank[rows], 1e30 * (1 + gain / smallest.clamp_min(1e-300)))
     return eligible, rank
 
 
@@ -140,7 +140,7 @@ def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
 
     Only edges that are nearly not Delaunay are asked: the longer diagonal of two good triangles.
     """
-    near = _cotangent_deficit(q) > -0.5
+    near = _cotangent_deficit(q)[0] > -0.5
     rows = near.nonzero().squeeze(1)
     few = _some(q, rows)
     gain = _pair_energy(few, False) - _pair_energy(few, True)
@@ -258,13 +258,20 @@ def _inverted_area(double_areas: list[Tensor]) -> Tensor:
     return torch.stack(double_areas).clamp_max(0).sum(0).neg()
 
 
-def _cotangent_deficit(q: Quads) -> Tensor:
-    """(N,) minus the sum of the cotangents of the opposite angles: positive when they exceed pi."""
+def _cotangent_deficit(q: Quads) -> tuple[Tensor, Tensor]:
+    """(N,) minus the sum of the cotangents of the opposite angles: positive when they exceed pi.
+
+    And (N,) more than rounding may have added to it or taken from it.
+    """
     dot_s = (q.ux - q.sx) * (q.wx - q.sx) + (q.uy - q.sy) * (q.wy - q.sy)
     dot_r = (q.ux - q.rx) * (q.wx - q.rx) + (q.uy - q.ry) * (q.wy - q.ry)
     cross_s = _double_area(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy).abs().clamp_min(1e-300)
     cross_r = _double_area(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry).abs().clamp_min(1e-300)
-    return -(dot_s / cross_s + dot_r / cross_r).clamp(-1e29, 1e29)
+    cot_s, cot_r = dot_s / cross_s, dot_r / cross_r
+    # A cross product is off by some last digits of its terms, which are at most 1 + |cot| times as large.
+    rounding = 1e-13 * ((1 + cot_s.abs()).square_() + (1 + cot_r.abs()).square_())
+    rounding.masked_fill_(torch.minimum(cross_s, cross_r) < 1e-290, torch.inf)
+    return -(cot_s + cot_r).clamp(-1e29, 1e29), rounding
 
 
 def _canonical(h: Tensor, twin: Tensor) -> Tensor:
