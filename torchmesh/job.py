@@ -44,6 +44,9 @@ _FLIP_ROUNDS = 2
 # iterations there are.
 _QUIET_ROUNDS, _AT_REST = 4, LbfgsOptions().patience
 
+# Rounds of flips before a valid mesh is smoothed for the first time.
+_FIRST_ROUNDS = 4
+
 # A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
 _STILL = 0.02
 
@@ -167,7 +170,9 @@ class Job:
             lively = torch.ones_like(self.batch.fixed)
             for turn in range(self.options.smooth_rounds):
                 mean, worst, before = self.quality.mean, self.quality.max, self.batch
-                flips = self._flip("flip", going, FlipOptions(rule="shape"), lively)
+                # At first one flip calls for the next, and smoothing for others.
+                most = FlipOptions().max_rounds if turn else _FIRST_ROUNDS
+                flips = self._flip("flip", going, FlipOptions(rule="shape", max_rounds=most), lively)
                 if turn > 1:
                     lively = corners_of(self.batch, touching(self.batch, lively | _rewired(before, self.batch)))
                 self._smooth("smooth", going, rough, lively)
