@@ -86,23 +86,30 @@ _Found = tuple[ProblemKind, str, tuple[int, ...], tuple[float, float]]
 def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
     points = mesh.points.detach().to("cpu", torch.float64).numpy()
     triangles = mesh.triangles.cpu()
-    piece = connectivity.triangle_components(triangles, connectivity.twins(triangles))
+    twin = connectivity.twins(triangles)
+    label = connectivity.triangle_components(triangles, twin)
     fallen = torch.from_numpy(signs(points, *triangles.numpy().T) <= 0)
     # A piece whose triangles are all upright is valid, whatever its boundary does.
-    triangles = triangles[torch.isin(piece, piece[fallen].unique())]
-    if not len(triangles):
+    ill = torch.zeros_like(fallen).index_fill_(0, label[fallen], True)[label]
+    if not bool(ill.any()):
         return []
-    twin = connectivity.twins(triangles)
+    if not bool(ill.all()):
+        triangles = triangles[ill]
+        twin = connectivity.twins(triangles)
+        label = connectivity.triangle_components(triangles, twin)
     ends = torch.stack([connectivity.tails(triangles), connectivity.heads(triangles)], 1)
     count = len(points)
-    constraints = mesh.constrained_edges.cpu()
-    walls = connectivity.edge_keys(constraints[:, 0], constraints[:, 1], count)
     inner = twin >= 0
-    wall = torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & inner
-    held = mesh.fixed.cpu()[ends].all(1) & inner & keep
-    piece = connectivity.triangle_components(triangles, twin).numpy()
-    region = connectivity.triangle_components(triangles, twin, wall | held).numpy()
-    once = ~inner | ((wall | held) & (torch.arange(len(twin)) < twin))
+    wall = torch.zeros_like(inner)
+    constraints = mesh.constrained_edges.cpu()
+    if len(constraints):
+        walls = connectivity.edge_keys(constraints[:, 0], constraints[:, 1], count)
+        wall = torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & inner
+    held = mesh.fixed.cpu()[ends].all(1) & inner if keep else torch.zeros_like(inner)
+    parted = wall | held
+    closed = connectivity.triangle_components(triangles, twin, parted) if bool(parted.any()) else label
+    piece, region = label.numpy(), closed.numpy()
+    once = ~inner | (parted & (torch.arange(len(twin)) < twin))
     rows = once.nonzero().squeeze(1).numpy()
     edges = ends.numpy()[rows]
     what = np.where(~inner, _BORDER, np.where(wall, _CONSTRAINT, _HELD))[rows]
@@ -193,7 +200,7 @@ def _crossings(
     given = np.concatenate([edges, segments[len(edges) :]])
     kinds = np.concatenate([what, np.full(len(segments) - len(edges), _SINGLE)])
     proper = (segments[:, 0] != segments[:, 1]) | (kinds == _SINGLE)
-    _, rows = np.unique(np.sort(segments, 1), axis=0, return_index=True)
+    _, rows = np.unique(segments.min(1) * len(points) + segments.max(1), return_index=True)
     rows = np.sort(rows[proper[rows]])
     segments, given, kinds = segments[rows], given[rows], kinds[rows]
     found: list[_Found] = []
@@ -201,7 +208,7 @@ def _crossings(
     group = of_piece[segments[:, 0]]
     among_edges = np.flatnonzero(kinds != _SINGLE)
     pairs = among_edges[crossing_pairs(points, segments[among_edges], group[among_edges], enough=10 * most)]
-    if len(pairs) < most:
+    if len(pairs) < most and len(among_edges) < len(segments):
         pairs = crossing_pairs(points, segments, group, enough=10 * most)
     for i, j in pairs.tolist():
         (a, b), (c, d) = given[[i, j]].tolist()

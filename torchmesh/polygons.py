@@ -115,18 +115,21 @@ def _side_by_side(low: np.ndarray, high: np.ndarray, group: np.ndarray) -> tuple
 def _meet(points: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
     """(P,) bool: the segments `one` and `two` (P, 2), whose boxes overlap, meet as in `crossing_pairs`."""
     (a, b), (c, d) = one.T, two.T
-    c_side, d_side = signs(points, a, b, c), signs(points, a, b, d)
-    a_side, b_side = signs(points, c, d, a), signs(points, c, d, b)
-    meet = (c_side * d_side <= 0) & (a_side * b_side <= 0)
     shared = ((a == c) | (a == d)).astype(int) + ((b == c) | (b == d))
-    flat = (c_side == 0) & (d_side == 0)
+    meet = shared == 2
+    apart = np.flatnonzero(shared == 0)
+    p, q, r, s = a[apart], b[apart], c[apart], d[apart]
+    across = signs(points, p, q, r) * signs(points, p, q, s) <= 0
+    meet[apart] = across & (signs(points, r, s, p) * signs(points, r, s, q) <= 0)
     # Two edges with one common vertex meet elsewhere only if they run the same way from it.
-    for at, p, q in ((a == c, b, d), (a == d, b, c), (b == c, a, d), (b == d, a, c)):
-        origin = np.where((a == c) | (a == d), a, b)
-        one_way, other_way = points[p] - points[origin], points[q] - points[origin]
-        same_way = (np.sign(one_way) == np.sign(other_way)).all(1)
-        meet = np.where(at & (shared == 1), flat & same_way, meet)
-    return meet | (shared == 2)
+    joint = np.flatnonzero(shared == 1)
+    a, b, c, d = a[joint], b[joint], c[joint], d[joint]
+    origin = np.where((a == c) | (a == d), a, b)
+    p, q = np.where(origin == a, b, a), np.where(origin == c, d, c)
+    one_way, other_way = points[p] - points[origin], points[q] - points[origin]
+    same_way = np.flatnonzero((np.sign(one_way) == np.sign(other_way)).all(1))
+    meet[joint[same_way]] = signs(points, origin[same_way], p[same_way], q[same_way]) == 0
+    return meet
 
 
 def turns_left(points: np.ndarray, loop: np.ndarray) -> int:
