@@ -127,7 +127,7 @@ def test_a_metric_that_is_the_planes_remeshes_as_well_as_none():
     sizes = torch.full((len(mesh.points),), 0.15, dtype=torch.float64)
     plain, ours = (tm.remesh(mesh, options(targets, sizes))[0] for targets in (None, plane))
     assert float(tm.quality(ours).mean) == pytest.approx(float(tm.quality(plain).mean), abs=0.01)
-    assert len(ours.points) == pytest.approx(len(plain.points), rel=0.05)
+    assert len(ours.points) == pytest.approx(len(plain.points), rel=0.1)
 
 
 def test_joined_equals_alone():
