@@ -259,3 +259,18 @@ def test_nested_holes_are_found_by_sweep_and_by_tree(monkeypatch):
         assert outer.tolist() == [0, 1, 2, 3]
         assert inner.tolist() in ([4, 5, 6, 7], [12, 13, 14, 15])
         monkeypatch.setattr("torchmesh.polygons._swept", lambda low, high: None)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_vertices_are_located_alike_by_table_and_by_tree(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    rim, loops = star_with_holes(rng)
+    corners = _cut_out(rim, loops, np.ones(len(rim)))
+    middles = (rim[corners[:, 0]] + rim[corners[:, 1]]) / 2
+    points = np.concatenate([rim, rng.uniform(-1, 1, (50, 2)), middles])
+    vertices = np.arange(len(points))
+    home = locate(points, vertices, corners)
+    assert (home[: len(rim)] >= 0).all()
+    assert -1 in home
+    monkeypatch.setattr("torchmesh.polygons._TABLE", 0)
+    assert locate(points, vertices, corners).tolist() == home.tolist()

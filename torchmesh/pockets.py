@@ -80,22 +80,7 @@ def untangle_by_pockets(mesh: MeshBatch, keep: Tensor | None = None) -> Retriang
     """
     _triangles_of_one(mesh)
     work = _Work(mesh, keep)
-    region = work.region()
-    size = np.bincount(region)
-    wanted = signs(work.points, *work.triangles.T) <= 0
-    reasons = []
-    attempt = 0
-    while wanted.any():
-        # Rings get dearer with their number; a pocket slightly too large does no harm.
-        for _ in range(1 + attempt // 3):
-            wanted = _with_ring(work.triangles, region, wanted)
-        for rows in sorted(work.pieces(wanted), key=len):
-            reason = work.rebuild(rows)
-            if reason and len(rows) == size[region[rows[0]]]:
-                reasons.append(reason)
-            if not reason or len(rows) == size[region[rows[0]]]:
-                wanted[rows] = False
-        attempt += 1
+    reasons = work.untangle(_regions(mesh))
     result = work.result(mesh)
     if not reasons:
         everything = torch.ones(len(mesh.triangles), dtype=torch.bool)
@@ -107,16 +92,38 @@ def untangle_by_pockets(mesh: MeshBatch, keep: Tensor | None = None) -> Retriang
 
 @dataclass(frozen=True, eq=False)
 class PocketsInfo:
-    """What `untangle_batch_by_pockets` did: (B,) int64 pieces made anew in each mesh."""
+    """What `untangle_batch_by_pockets` did.
+
+    pockets  (B,) int64 pieces made anew in each mesh
+    reasons  for each mesh what stopped the others, "" where nothing did
+    """
 
     pockets: Tensor
+    reasons: list[str]
 
 
 def untangle_batch_by_pockets(batch: MeshBatch) -> tuple[MeshBatch, PocketsInfo]:
-    """`untangle_by_pockets` on each mesh of a batch."""
-    results = [untangle_by_pockets(mesh) for mesh in batch.split()]
-    made = torch.tensor([r.pockets for r in results], dtype=torch.int64, device=batch.points.device)
-    return join([r.mesh for r in results]), PocketsInfo(made)
+    """`untangle_by_pockets` on each mesh of a batch, as far as it goes, without the last look at the whole."""
+    region, face = _regions(batch), batch.triangle_offsets.tolist()
+    meshes, made, reasons = [], [], []
+    for b, mesh in enumerate(batch.split()):
+        work = _Work(mesh, None)
+        # Regions are numbered by their first triangles, so those of a mesh follow each other.
+        reasons.append("; ".join(work.untangle(region[face[b] : face[b + 1]] - region[face[b]])))
+        meshes.append(work.result(mesh).mesh)
+        made.append(work.pockets)
+    return join(meshes), PocketsInfo(torch.tensor(made, dtype=torch.int64, device=batch.points.device), reasons)
+
+
+def _regions(batch: MeshBatch) -> np.ndarray:
+    """(T,) what the boundary and the constrained edges close off, numbered by first triangles."""
+    triangles, count = batch.triangles.cpu(), len(batch.points)
+    twin, walls = connectivity.twins(triangles), batch.constrained_edges.cpu()
+    if not len(walls):
+        return connectivity.triangle_components(triangles, twin).numpy()
+    keys = connectivity.edge_keys(connectivity.tails(triangles), connectivity.heads(triangles), count)
+    wall = torch.isin(keys, connectivity.edge_keys(walls[:, 0], walls[:, 1], count))
+    return connectivity.triangle_components(triangles, twin, wall).numpy()
 
 
 def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
@@ -172,9 +179,24 @@ class _Work:
         self.rewritten = np.zeros(len(self.triangles), bool)
         self.pockets = 0
 
-    def region(self) -> np.ndarray:
-        """(T,) what the boundary and the constrained edges close off."""
-        return self._components(np.arange(len(self.triangles)))
+    def untangle(self, region: np.ndarray) -> list[str]:
+        """Make anew the smallest pockets that will do; what stopped the others.  region (T,) as from `_regions`."""
+        size = np.bincount(region)
+        wanted = signs(self.points, *self.triangles.T) <= 0
+        reasons = []
+        attempt = 0
+        while wanted.any():
+            # Rings get dearer with their number; a pocket slightly too large does no harm.
+            for _ in range(1 + attempt // 3):
+                wanted = _with_ring(self.triangles, region, wanted)
+            for rows in sorted(self.pieces(wanted), key=len):
+                reason = self.rebuild(rows)
+                if reason and len(rows) == size[region[rows[0]]]:
+                    reasons.append(reason)
+                if not reason or len(rows) == size[region[rows[0]]]:
+                    wanted[rows] = False
+            attempt += 1
+        return reasons
 
     def pieces(self, pocket: np.ndarray) -> list[np.ndarray]:
         """The rows of each part of `pocket` (T,) bool that is joined by edges and crosses no constrained one."""

@@ -12,6 +12,8 @@ from .insertion import Obstacle, Triangulation, signs
 
 # Rows of a vertices-times-edges table worked on at once.
 _CHUNK = 2_000_000
+# Vertices times triangles up to which each vertex is held against each triangle's box.
+_TABLE = 100_000
 # Pairs of segments judged at once, and segments whose partners are looked for first.
 _PAIRS = 100_000
 _FIRST_ROWS = 16
@@ -302,11 +304,15 @@ def locate(points: np.ndarray, vertices: np.ndarray, corners: np.ndarray) -> np.
     home = np.full(len(vertices), -1)
     if not len(vertices):
         return home
-    import shapely
+    if len(vertices) * len(corners) <= _TABLE:
+        low, high, at = points[corners].min(1), points[corners].max(1), points[vertices]
+        t, i = np.nonzero(((low[:, None] <= at) & (at <= high[:, None])).all(2))
+    else:
+        import shapely
 
-    pieces = shapely.polygons(points[corners])
-    shapely.prepare(pieces)
-    t, i = shapely.STRtree(shapely.points(points[vertices])).query(pieces, predicate="intersects")
+        pieces = shapely.polygons(points[corners])
+        shapely.prepare(pieces)
+        t, i = shapely.STRtree(shapely.points(points[vertices])).query(pieces, predicate="intersects")
     a, b, c = corners[t].T
     p = vertices[i]
     inside = (signs(points, a, b, p) >= 0) & (signs(points, b, c, p) >= 0) & (signs(points, c, a, p) >= 0)
