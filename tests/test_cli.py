@@ -332,6 +332,28 @@ def test_quality_metrics(call, folder):
     assert set(record["metrics"]["area"]) == {"min", "mean", "max", "p5", "p50", "p95"}
 
 
+def test_quality_says_how_edges_follow_sizes(call, folder):
+    lengths = {"boundary": 1.0, "uniform": 1.0, "0.5": 2.0}
+    for sizes, mean in lengths.items():
+        done = call("quality", "better.vtu", "--sizes", sizes, "--json")
+        (record,) = json.loads(done.out)
+        found = record["edge_length_over_size"]
+        # Equilateral triangles of side 1; "uniform" knows the area only.
+        assert found == {name: pytest.approx(mean, rel=1e-6) for name in ("mean", "p5", "p95")}
+    done = call("quality", "better.vtu", "--sizes", 2, "--worst", 0)
+    assert "edge length / size" in done.out
+    assert "0.50 (0.50 - 0.50)" in done.out
+    file = meshio.read(folder / "better.vtu")
+    file.point_data["length"] = np.full(len(file.points), 4.0)
+    file.write(folder / "sized.vtu")
+    (record,) = json.loads(call("quality", "sized.vtu", "--sizes", "length", "--json").out)
+    assert record["edge_length_over_size"]["mean"] == pytest.approx(0.25)
+    for wrong, text in (("0", "must be a positive length"), ("nan", "positive length"), ("width", "nor a point field")):
+        done = call("quality", "sized.vtu", "--sizes", wrong)
+        assert done.status == 2
+        assert text in done.err
+
+
 def test_a_metric_that_does_not_exist_is_refused(call):
     done = call("quality", "better.vtu", "--metrics", "area,skew")
     assert (done.status, done.out) == (2, "")

@@ -650,6 +650,24 @@ def test_sizes_that_were_asked_for_come_before_the_last_bit_of_quality():
     assert float(report.remeshed.conformity.mean) == pytest.approx(1, abs=0.2)
 
 
+@pytest.mark.parametrize("topology", ["flip", "full"])
+def test_the_report_says_how_edges_follow_the_sizes_asked_for(topology):
+    batch = tm.join([meshes.grid(8, 8), meshes.moved_hole(5.0)])
+    after, report = tm.improve(batch, tm.ImproveOptions(topology=topology, remesh=RemeshOptions(sizes="uniform")))
+    expected = tm.size_conformity(after, "uniform")
+    record = report.to_dict()[1]["edge_length_over_size"]
+    if topology == "flip":
+        for name in ("mean", "low", "high"):
+            torch.testing.assert_close(getattr(report.sizes, name), getattr(expected, name), rtol=1e-12, atol=0)
+    assert record == {
+        "mean": float(report.sizes.mean[1]), "p5": float(report.sizes.low[1]), "p95": float(report.sizes.high[1]),
+    }  # fmt: skip
+    assert 0.5 < record["p5"] < record["mean"] < record["p95"] < 2
+    plain = tm.improve(batch, tm.ImproveOptions(topology=topology))[1]
+    assert (plain.sizes is None) == (topology == "flip")
+    assert ("edge_length_over_size" in plain.to_dict()[0]) == (topology == "full")
+
+
 def test_the_paper_knows_no_full():
     with pytest.raises(ValueError, match="topology='full' needs method 'default'"):
         tm.ImproveOptions.paper(topology="full")

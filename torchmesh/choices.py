@@ -1,5 +1,6 @@
 """The options that several commands of the command line share.  Nothing here imports torch before it is needed."""
 
+import contextlib
 import math
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +10,11 @@ import typer
 from .motions import UsageError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from .mesh import MeshBatch
     from .options import ImproveOptions
+    from .sizing import Sizes
 
 
 class Method(str, Enum):
@@ -56,7 +61,40 @@ BetaOption = Annotated[
         show_default=False,
     ),
 ]
+SizesOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIZES",
+        help="Also show edge lengths over the lengths wanted: 'boundary' (the boundary's, continued inwards), "
+        "'uniform', a number in the file's unit of length, or the name of a point field that holds them.",
+        show_default=False,
+    ),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
+
+
+def sizes_wanted(text: str, mesh: "MeshBatch", source: "Path") -> "Sizes":
+    """The sizes that `SizesOption` names for the mesh read from `source`; raises UsageError."""
+    import torch
+
+    from .formats import load
+
+    if text == "boundary":
+        return "boundary"
+    if text == "uniform":
+        return "uniform"
+    with contextlib.suppress(ValueError):
+        length = float(text)
+        if not (math.isfinite(length) and length > 0):
+            raise UsageError(f"--sizes must be a positive length, not {text}")
+        return torch.full((len(mesh.points),), length, dtype=torch.float64)
+    fields = load(source).mesh.point_data
+    if text not in fields:
+        known = f"it has {', '.join(map(repr, sorted(fields)))}" if fields else "it has none"
+        raise UsageError(
+            f"--sizes {text}: neither 'boundary', 'uniform', a number nor a point field of {source}; {known}"
+        )
+    return torch.as_tensor(fields[text]).reshape(len(fields[text]), -1)[:, 0]
 
 
 def improve_options(

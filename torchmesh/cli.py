@@ -26,9 +26,11 @@ from .choices import (
     Method,
     MethodOption,
     QuietOption,
+    SizesOption,
     Topology,
     TopologyOption,
     improve_options,
+    sizes_wanted,
 )
 
 INTERRUPTED = 130
@@ -191,6 +193,7 @@ def improve(
     "torchmesh quality tangled.vtu better.vtu",
     "torchmesh quality tangled.vtu --worst 3",
     "torchmesh quality better.vtu --metrics minimum_angle,scaled_jacobian,aspect_ratio",
+    "torchmesh quality better.vtu --sizes boundary",
     "torchmesh quality better.vtu --json",
 )
 def quality(
@@ -206,6 +209,7 @@ def quality(
             show_default=False,
         ),
     ] = None,
+    sizes: SizesOption = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON list instead of tables; null stands for infinite.")
     ] = False,
@@ -236,6 +240,8 @@ def quality(
             continue
         q = measure(mesh)
         record = {"file": str(source), **console.record(mesh, q), "worst": console.worst(mesh, q, worst)}
+        if sizes is not None:
+            record["edge_length_over_size"] = console.size_record(mesh, sizes_wanted(sizes, mesh, source))
         if names:
             record["metrics"] = {name: s.records()[0] for name, s in evaluate(mesh, names).items()}
         records.append(record)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .mesh import MeshBatch
     from .quality import Quality
     from .report import Progress
+    from .sizing import Sizes
 
 
 @functools.cache
@@ -119,6 +120,14 @@ def record(mesh: "MeshBatch", q: "Quality") -> dict[str, Any]:
     }
 
 
+def size_record(mesh: "MeshBatch", sizes: "Sizes") -> dict[str, float]:
+    """How edge lengths compare with the sizes wanted: 1 is what was asked."""
+    from .sizing import size_conformity
+
+    found = size_conformity(mesh, sizes)
+    return {"mean": float(found.mean[0]), "p5": float(found.low[0]), "p95": float(found.high[0])}
+
+
 def worst(mesh: "MeshBatch", q: "Quality", count: int) -> list[dict[str, Any]]:
     """The `count` worst triangles: inverted ones, largest first, then those of the highest IMR."""
     import torch
@@ -191,9 +200,16 @@ def print_qualities(records: list[dict[str, Any]]) -> None:
     table.add_column("file", overflow="fold")
     for name in ("triangles", "inverted", "IMR average", "IMR maximum", "minimum angle"):
         table.add_column(name, justify="right")
+    sized = "edge_length_over_size" in records[0]
+    if sized:
+        table.add_column("edge length / size: mean (5 - 95 %)", justify="right")
     for r in records:
         numbers = (r[k] for k in ("triangles", "inverted", "imr_average", "imr_maximum", "minimum_angle"))
-        table.add_row(Text(r["file"]), *map(_number, numbers), style="red" if r["inverted"] else None)
+        cells = [_number(value) for value in numbers]
+        if sized:
+            mean, low, high = (f"{r['edge_length_over_size'][k]:.2f}" for k in ("mean", "p5", "p95"))
+            cells.append(f"{mean} ({low} - {high})")
+        table.add_row(Text(r["file"]), *cells, style="red" if r["inverted"] else None)
     stdout().print(table)
     for r in records:
         _print_metrics(r)

@@ -6,7 +6,7 @@ Every mesh goes down its own road; the meshes on one stretch of road travel as o
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Literal
 
 import torch
@@ -27,7 +27,7 @@ from .relocation import Relocation, crowded
 from .remeshing import RemeshInfo, Remeshing, RemeshOptions
 from .report import Progress, Report, Step
 from .segments import segment_any, segment_count, spread
-from .sizing import size_field
+from .sizing import SizeConformity, size_conformity, size_field
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
@@ -78,6 +78,8 @@ class Job:
         self.quality = quality(batch)
         self._twin: Tensor | None = None
         self.remeshed: RemeshInfo | None = None
+        # (V,) the sizes that were asked for and have travelled with the vertices of the valid meshes.
+        self.relocated_sizes: Tensor | None = None
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
         self.messages: dict[int, str] = {}
         self.steps: list[list[Step]] = [[] for _ in range(len(batch))]
@@ -208,6 +210,8 @@ class Job:
                 work.improve(torch.ones_like(at[at]))
                 part, flips = gather(work.batch, work.options)
                 self._twin = None
+                if asked.sizes_asked:
+                    self.relocated_sizes = work.size
                 done(part, flips=work.flips + flips)
 
     def polish(self) -> None:
@@ -262,7 +266,23 @@ class Job:
         certified = valid & same_frame(
             self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map
         )
-        return Report(self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed)
+        return Report(
+            self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed,
+            self._conformity(),
+        )  # fmt: skip
+
+    def _conformity(self) -> SizeConformity | None:
+        """How well edges follow the sizes wanted, where any were; NaN for meshes that are not valid."""
+        sizes, valid = self.options.remesh.sizes, self.quality.inverted == 0
+        if self.remeshed is not None:
+            found = self.remeshed.conformity
+            return SizeConformity(*(torch.where(valid, getattr(found, f.name), torch.nan) for f in fields(found)))
+        if self.relocated_sizes is None:
+            return None
+        asked = sizes if callable(sizes) or (isinstance(sizes, str) and sizes == "uniform") else self.relocated_sizes
+        found = size_conformity(self.batch.select(valid), asked)
+        nothing = torch.full_like(self.quality.mean, torch.nan)
+        return SizeConformity(*(nothing.masked_scatter(valid, getattr(found, f.name)) for f in fields(found)))
 
     def _message(self, b: int, status: Status) -> str:
         """Why mesh `b` ended."""

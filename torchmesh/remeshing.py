@@ -55,6 +55,11 @@ class RemeshOptions:
     max_rounds: int = 8
     smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
 
+    @property
+    def sizes_asked(self) -> bool:
+        """Are there other sizes than the boundary's?"""
+        return not (isinstance(self.sizes, str) and self.sizes == "boundary")
+
     def __post_init__(self) -> None:
         check_sizes(self.sizes)
         # An edge that was just halved must not be short, nor one that comes of a collapse long.

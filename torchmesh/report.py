@@ -11,6 +11,7 @@ from .errors import ConvergenceError
 from .genealogy import VertexMap
 from .quality import Quality
 from .remeshing import RemeshInfo
+from .sizing import SizeConformity
 from .status import Status
 
 
@@ -48,6 +49,9 @@ class Report:
     moved      int64 vertices that are not where they were given (under topology "full": before any is added)
     remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
                vertices; None under the other topologies
+    sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None where no sizes were
+               asked for and vertices keep their number.  Under "flip" sizes given by vertex are compared as they
+               have travelled, times what makes the number of vertices do
     """
 
     status: Tensor
@@ -58,6 +62,7 @@ class Report:
     messages: list[str]
     moved: Tensor
     remeshed: RemeshInfo | None = None
+    sizes: SizeConformity | None = None
 
     @property
     def vertex_map(self) -> VertexMap | None:
@@ -78,6 +83,11 @@ class Report:
     def worked(self) -> list[str]:
         """For every mesh the stage that left no inverted triangle: "initial" if it had none, "" if none did."""
         return [next((step.stage for step in steps if step.inverted == 0), "") for steps in self.steps]
+
+    def _size_record(self, b: int) -> dict[str, Any]:
+        assert self.sizes is not None
+        rows = {"mean": self.sizes.mean, "p5": self.sizes.low, "p95": self.sizes.high}
+        return {name: _plain(float(values[b])) for name, values in rows.items()}
 
     def _total(self, name: str) -> Tensor:
         sums = [sum(getattr(step, name) for step in steps) for steps in self.steps]
@@ -109,6 +119,7 @@ class Report:
                 "moved": int(self.moved[b]),
                 "flipped": flipped[b],
                 "pockets": pockets[b],
+                **({} if self.sizes is None else {"edge_length_over_size": self._size_record(b)}),
                 "steps": [{name: _plain(value) for name, value in vars(step).items()} for step in self.steps[b]],
             }
             for b in range(len(self.valid))
@@ -125,7 +136,17 @@ def join_reports(reports: list[Report]) -> Report:
         [steps for r in reports for steps in r.steps],
         [message for r in reports for message in r.messages],
         torch.cat([r.moved for r in reports]),
+        sizes=_join_sizes(reports),
     )
+
+
+def _join_sizes(reports: list[Report]) -> SizeConformity | None:
+    if all(r.sizes is None for r in reports):
+        return None
+    nothing = [torch.full_like(r.quality.mean, torch.nan) for r in reports]
+    columns = ([n if r.sizes is None else getattr(r.sizes, f.name) for r, n in zip(reports, nothing, strict=True)]
+               for f in fields(SizeConformity))  # fmt: skip
+    return SizeConformity(*(torch.cat(column) for column in columns))
 
 
 @dataclass(frozen=True)
