@@ -198,14 +198,15 @@ class _Run:
             self.recent[0] - self.energy <= self.options.energy_tolerance * self.energy.abs()
         )
         small = self.gg <= (self.options.gradient_tolerance * self.unit).square() * self.free
-        status = torch.where(self.t < 1e-12, Status.STALLED, self.status)
-        status = torch.where(settled, Status.SETTLED, status)
-        status = torch.where(small, Status.CONVERGED, status)
-        running = self.status == Status.RUNNING
-        self.status = torch.where(running, status, self.status)
-        if out_of_iterations:
-            self.status = torch.where(self.status == Status.RUNNING, Status.ITERATION_LIMIT, self.status)
-        return self.status != Status.RUNNING
+        stuck = self.t < 1e-12
+        ended = settled | small | stuck | (self.status != Status.RUNNING)
+        if out_of_iterations or bool(ended.any()):
+            status = torch.full_like(self.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
+            for hit, ending in ((stuck, Status.STALLED), (settled, Status.SETTLED), (small, Status.CONVERGED)):
+                status = torch.where(hit, ending, status)
+            self.status = torch.where(self.status == Status.RUNNING, status, self.status)
+            return self.status != Status.RUNNING
+        return ended
 
     def step(self, iteration: int) -> None:
         """Try one step of every problem; accept it or shorten it."""
@@ -224,6 +225,8 @@ class _Run:
             self.x = x
             self._advance(slot, gradient, good)
             self.t = self._whole_step()
+            self.recent = torch.cat([self.recent[1:], self.energy[None]])
+            self.energy = energy
         else:
             # A problem whose step was refused stays where it is; its pair of this slot is void.
             stay = (~good).index_select(0, self.owner).nonzero().squeeze(1)
@@ -238,11 +241,11 @@ class _Run:
             fit = -0.5 * self.descent * self.t / (change / self.t - self.descent)
             shorter = torch.where(change.isfinite(), fit.clamp(0.1 * self.t, 0.5 * self.t), 0.3 * self.t)
             self.t = torch.where(good, self._whole_step(), torch.where(running, shorter, self.t))
-        self.recent = torch.where(good, torch.cat([self.recent[1:], self.energy[None]]), self.recent)
-        self.energy = torch.where(good, energy, self.energy)
+            self.recent = torch.where(good, torch.cat([self.recent[1:], self.energy[None]]), self.recent)
+            self.energy = torch.where(good, energy, self.energy)
         self.accepted += good
         self.evaluations += running
-        self.status = torch.where(good & done, Status.VALID, self.status)
+        self.status = self.status.masked_fill(good & done, Status.VALID)
 
     def _advance(self, slot: int, gradient: Tensor, good: Tensor) -> None:
         """Take the gradient at the new point, with its pair in `slot`, and find the direction from there.
@@ -262,16 +265,19 @@ class _Run:
         curved = good & (sy > _CURVATURE * slope.abs()) & (yy > 0)
         self.valid = torch.cat([self.valid[:, 1:], curved[:, None]], 1)
         self.against, self.gg = against, gg
-        self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
-        self.gamma = torch.where(self.valid.any(1), self.gamma, self._first_step())
-        counted = self.valid & curved[:, None]
+        if bool(curved.all()):
+            self.gamma = sy / yy
+        else:
+            self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
+            self.gamma = torch.where(self.valid.any(1), self.gamma, self._first_step())
+        counted = (self.valid & curved[:, None]).to(sy)
         # The oldest pair goes, the newest comes.
         self.upper, self.yy = self.upper.roll((-1, -1), (1, 2)), self.yy.roll((-1, -1), (1, 2))
         self.upper[:, -1] = 0.0
-        self.upper[:, :, -1] = torch.where(counted, sy_new, 0.0)
+        self.upper[:, :, -1] = sy_new * counted
         self.upper[:, -1, -1] = torch.where(curved, sy, 1.0)
-        self.yy[:, -1] = self.yy[:, :, -1] = torch.where(counted, yy_new, 0.0)
-        self.yy[:, -1, -1] = torch.where(curved, yy, 0.0)
+        self.yy[:, -1] = self.yy[:, :, -1] = yy_new * counted
+        self.yy[:, -1, -1] = yy * counted[:, -1]
         self.d, self.descent = self._direction(self._recursion(order, slot))
         lost = good & ~(self.descent < 0)
         if bool(lost.any()):
@@ -291,15 +297,15 @@ class _Run:
         order, slot  the slots from the oldest pair to the newest; that of the newest
         """
         m = self.options.history
-        against = self.against.view(-1, 2, m).index_select(2, order)
-        against = torch.where(self.valid[:, None], against, 0.0)
+        count = self.valid[:, None].to(self.unit)
+        against = self.against.view(-1, 2, m).index_select(2, order) * count
         gamma = self.gamma[:, None, None]
         w = torch.linalg.solve_triangular(self.upper, against[:, 0, :, None], upper=True)
         middle = self.upper.diagonal(dim1=1, dim2=2)[:, :, None] * w
         middle += gamma * (self.yy @ w - against[:, 1, :, None])
         a = torch.linalg.solve_triangular(self.upper.mT, middle, upper=False)
-        both = torch.cat([a, -gamma * w], 2).mT
-        return torch.where(self.valid[:, None], both, 0.0).index_select(2, self._slots.roll(1 + slot)).flatten(1)
+        both = torch.cat([a, -gamma * w], 2).mT * count
+        return both.index_select(2, self._slots.roll(1 + slot)).flatten(1)
 
     def _direction(self, weights: Tensor) -> tuple[Tensor, Tensor]:
         """(K, BLOCK) minus H g, of the `weights` (B, 2m) of the pairs; and (B,) the slope along it."""
