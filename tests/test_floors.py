@@ -31,6 +31,7 @@ FLOORS = [
     ["warping", "unscrambling", "pyg", "sliding", "anisotropy"],
     ["smoothing"],
     ["untangling", "remeshing", "certificate", "polishing"],
+    ["surgery"],
     ["relocation"],
     ["gathering"],
     ["report"],

@@ -31,6 +31,7 @@ from .sizing import SizeConformity, size_conformity, size_field
 from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
+from .surgery import untangle_by_surgery
 from .targets import MetricField, as_targets, narrow
 from .unscrambling import unscramble
 from .untangling import UntangleOptions, untangle
@@ -82,6 +83,7 @@ class Job:
         self.relocated_sizes: Tensor | None = None
         self.status = torch.full((len(batch),), Status.RUNNING, device=batch.points.device)
         self.messages: dict[int, str] = {}
+        self.obstacles: dict[int, str] = {}
         self.steps: list[list[Step]] = [[] for _ in range(len(batch))]
         everything = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
         none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
@@ -230,6 +232,14 @@ class Job:
         """Splits and collapses where they better the valid meshes."""
         at = self.quality.inverted == 0
         work = Remeshing(self.batch, self._sized(torch.ones_like(at)))
+        stuck = ~at & (self.status == Status.STALLED)
+        if bool(stuck.any()):
+            with self._stage("surgery", stuck) as done:
+                pockets = untangle_by_surgery(work, stuck)
+                self._twin = None
+                done(work.batch, pockets=pockets[stuck])
+            at = self.quality.inverted == 0
+            self.status[stuck & at] = Status.SETTLED
         if bool(at.any()):
             with self._stage("remesh", at) as done:
                 work.improve(at)
@@ -290,7 +300,7 @@ class Job:
         if status not in (Status.STALLED, Status.ITERATION_LIMIT) or not left:
             return text
         tried = dict.fromkeys(step.stage for step in self.steps[b][1:])
-        text = f"{text}; {left} inverted triangles are left after {', '.join(tried)}"
+        text = f"{self.obstacles.get(b) or text}; {left} inverted triangles are left after {', '.join(tried)}"
         if self.options.topology == "keep":
             text += ": these triangles may have no valid places; topology 'flip' may change their edges"
         return text
@@ -357,6 +367,7 @@ class Job:
         with self._stage(stage, at) as done:
             part, info = way(given.select(at))
             better = quality(part).inverted < self.quality.inverted[at]
+            self.obstacles.update(zip(at.nonzero().squeeze(1).tolist(), getattr(info, "reasons", ()), strict=False))
             now = self.batch.select(at)
             done(
                 put(now, better, part.select(better)) if bool(better.any()) else now,

@@ -177,26 +177,26 @@ class Remeshing:
             going = going & ~few & ~(stuck & (turn > 0))
             before = now
 
-    def _fields(self) -> list[Tensor]:
+    def fields(self) -> list[Tensor]:
         """What each vertex has: the size wanted, its name, and its metric, if there is one."""
         assert self.size is not None
         return [self.size, self.names.of] + ([] if self.metric is None else [self.metric])
 
-    def _exchange(self, at: Tensor, part: MeshBatch, fields: list[Tensor]) -> None:
+    def exchange(self, at: Tensor, part: MeshBatch, fields: list[Tensor]) -> None:
         """Put `part` and what its vertices have in the place of the meshes `at` (B,) bool."""
-        pairs = list(zip(self._fields(), fields, strict=True))
+        pairs = list(zip(self.fields(), fields, strict=True))
         self.batch, self.size, self.names.of, *metric = exchange(self.batch, at, part, pairs)
         self.metric = metric[0] if metric else None
 
     def _state(self) -> tuple[MeshBatch, list[Tensor], Tensor, Tensor]:
-        return self.batch, self._fields(), self.splits.clone(), self.collapses.clone()
+        return self.batch, self.fields(), self.splits.clone(), self.collapses.clone()
 
     def _restore(self, at: Tensor, state: tuple[MeshBatch, list[Tensor], Tensor, Tensor]) -> None:
         """Take the meshes `at` (B,) bool back to what they were, and what brought them there out of the counts."""
         if bool(at.any()):
             batch, fields, splits, collapses = state
             rows = spread(at, batch.point_offsets)
-            self._exchange(at, batch.select(at), [values[rows] for values in fields])
+            self.exchange(at, batch.select(at), [values[rows] for values in fields])
             self.splits = torch.where(at, splits, self.splits)
             self.collapses = torch.where(at, collapses, self.collapses)
 
@@ -259,7 +259,7 @@ class Remeshing:
         """Split edges above `long` of their size in the meshes `going`, collapse those below `short`; how many (B,)."""
         assert self.size is not None
         part, rows = self.batch.select(going), spread(going, self.batch.point_offsets)
-        size, names, *metric = (values[rows] for values in self._fields())
+        size, names, *metric = (values[rows] for values in self.fields())
         e = editable(part, size, self.names, names, *metric)
         splits = split_rounds(e, self._too_long(e, long), allow_fixed=self.options.split_boundary)
         collapses = collapse_rounds(e, self._too_short(e, short), self._harmless)
@@ -269,7 +269,7 @@ class Remeshing:
         part, *fields = rebuilt(part, e)
         if e.metric is not None:
             fields.append(unit_metric(e.metric[living(e)]))
-        self._exchange(going, part, fields)
+        self.exchange(going, part, fields)
         changed = torch.zeros_like(self.splits)
         changed[going] = splits + collapses
         return changed

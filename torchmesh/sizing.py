@@ -52,7 +52,9 @@ def size_field(batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor
         if sizes == "uniform":
             return uniform_sizes(batch, wanted)
         edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
-        return _mean_at_vertices(edges, edge_lengths(batch, edges), batch)[0]
+        size = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)[0]
+        # A vertex without edges, or with its neighbours all in its place, has no length to keep.
+        return torch.where(size > 0, size, 1.0)
     values = sizes(batch.points) if callable(sizes) else sizes
     values = torch.as_tensor(values)
     if values.shape != (len(batch.points),):
