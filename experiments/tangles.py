@@ -23,6 +23,7 @@ import numpy as np
 import torch
 
 import torchmesh as tm
+from torchmesh import connectivity
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 from domains import Shape, double_areas, mesh_size, triangulate
@@ -67,6 +68,18 @@ def tangle(
     turned = f" and {angle:g} degrees" if angle else ""
     name = f"{family} {value:g}{turned}, {triangles} triangles, grading {grading:g}, seed {seed}"
     return Tangle(name, mesh, mesh.with_points(kind.make(mesh, value, angle, seed)))
+
+
+def simple(mesh: tm.MeshBatch) -> bool:
+    """Is the boundary a simple polygon with simple, disjoint holes inside it?  By shapely, without torchmesh's own
+    diagnosis."""
+    import shapely
+
+    twin = connectivity.twins(mesh.triangles)
+    loops = connectivity.boundary_loops(connectivity.boundary_edges(mesh.triangles, twin))
+    rings = [shapely.LinearRing(mesh.points[loop].numpy()) for loop in loops]
+    rings.sort(key=lambda ring: -shapely.Polygon(ring).area)
+    return all(ring.is_simple for ring in rings) and bool(shapely.Polygon(rings[0], rings[1:]).is_valid)
 
 
 def _undeformed(name: str, shape: Shape, triangles: int, cache: Path) -> tm.MeshBatch:
@@ -206,8 +219,6 @@ _CORNER = math.radians(30)
 
 def _laid(mesh: tm.MeshBatch, outline: Array, seed: int) -> torch.Tensor:
     """The boundary loop onto an outline by arc length, corner on corner where the spacing allows."""
-    from torchmesh import connectivity
-
     loop = connectivity.boundary_loops(connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles)))[
         0
     ]
