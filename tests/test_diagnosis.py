@@ -294,3 +294,41 @@ def test_problems_of_a_kind_are_told_up_to_a_number():
 def test_a_topology_that_is_none_is_refused():
     with pytest.raises(ValueError, match="topology must be 'keep' or 'flip', not 'full'"):
         diagnose(MeshBatch.from_arrays(*grid(2)[:2]), topology="full")
+
+
+def test_a_valid_mesh_is_never_accused():
+    """Sheets that lie over each other, a slit of no width: all triangles upright, so nothing is impossible."""
+    spiral = np.array([[r * np.cos(a), r * np.sin(a)] for a in np.linspace(0, 9, 60) for r in (1.0, 2.0)])
+    k = 2 * np.arange(59)
+    strip = np.concatenate([np.stack([k, k + 1, k + 3], 1), np.stack([k, k + 3, k + 2], 1)])
+    assert diagnose(MeshBatch.from_arrays(spiral, strip)) == []
+    assert diagnose(slit(8)) == []
+    assert diagnose(slit(8), "keep") == []
+    points, triangles, index = grid(4)
+    points[index[4, 2]] = [-0.25, 0.5]
+    crossed = MeshBatch.from_arrays(points, triangles)
+    assert len(diagnose(join([slit(8), crossed]))) == len(diagnose(crossed))
+
+
+def slit(n):
+    """A grid cut open along its middle from 1/4 to 3/4: the two sides of the cut lie on each other."""
+    points, triangles, index = grid(n)
+    cut = index[n // 4 + 1 : 3 * n // 4, n // 2]
+    twin_of = np.arange(len(points))
+    twin_of[cut] = len(points) + np.arange(len(cut))
+    above = points[triangles].mean(1)[:, 1] > 0.5
+    return MeshBatch.from_arrays(
+        np.concatenate([points, points[cut]]), np.where(above[:, None], twin_of[triangles], triangles)
+    )
+
+
+def test_as_many_problems_of_a_kind_as_asked_for_however_many_there_are():
+    points, triangles, index = grid(24)
+    rng = np.random.default_rng(0)
+    held = np.ones(len(points), bool)
+    held[index[2:-2:2, 2:-2:2]] = False
+    mesh = MeshBatch.from_arrays(rng.uniform(size=points.shape), triangles, held)
+    problems = diagnose(mesh, "keep", most=3)
+    told = {kind: sum(p.kind == kind for p in problems) for kind in kinds(problems)}
+    assert told[ProblemKind.FIXED_TRIANGLE] == told[ProblemKind.NO_KERNEL] == told[ProblemKind.BOUNDARY_CROSSING] == 3
+    assert max(told.values()) == 3

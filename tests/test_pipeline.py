@@ -524,3 +524,14 @@ def test_every_stage_is_shown_to_an_observer_and_changes_nothing():
     unseen, _ = improve(mesh)
     assert torch.equal(unseen.points, after.points)
     assert torch.equal(unseen.triangles, after.triangles)
+
+
+def test_the_report_says_what_was_tried_where_nothing_helped():
+    mesh = meshes.jittered(5, 4, 5.0, 1)
+    _, report = improve(mesh, ImproveOptions.paper(topology="keep", untangle_rounds=2))
+    assert report.status.tolist() == [Status.ITERATION_LIMIT]
+    left = int(report.quality.inverted)
+    assert f"{left} inverted triangles are left after untangle-beta: these triangles may have no" in report.messages[0]
+    _, report = improve(meshes.jittered(5, 4, 0.5, 0))
+    assert report.valid.tolist() == [True]
+    assert "left" not in report.messages[0]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from torchmesh import InvalidMeshError, MeshBatch, Status, UntangleOptions, join, quality, smooth, untangle
 from torchmesh.triangle import corners, signed_area
-from torchmesh.untangling import local_size, usual_area
+from torchmesh.untangling import _PATIENCE, _Hope, local_size, usual_area
 
 METHODS = {
     "regularised": UntangleOptions(),
@@ -389,3 +389,56 @@ def test_reach_bounds_what_moves():
 def test_options_that_make_no_sense(options):
     with pytest.raises(ValueError, match=r"reach|local"):
         UntangleOptions("beta", **options)
+
+
+# --- stalls ---
+
+
+def hopeless() -> MeshBatch:
+    """A grid with four held vertices in its middle, two of which have changed places: their triangles stay inverted."""
+    mesh = meshes.grid(10, 10)
+    points, fixed = mesh.points.clone(), mesh.fixed.clone()
+    one, two, *rest = 49, 60, 48, 61
+    points[[one, two]] = points[[two, one]]
+    fixed[[one, two, *rest]] = True
+    return dataclasses.replace(mesh, points=points, fixed=fixed)
+
+
+def test_what_no_longer_gets_better_ends_before_the_limit():
+    mesh = hopeless()
+    options = UntangleOptions(size_sweeps=(100,), max_continuations=100_000)
+    moved, info = untangle(mesh, options)
+    assert inverted(moved) > 0
+    assert info.status.tolist() == [Status.STALLED]
+
+
+def test_a_stalled_mesh_leaves_the_others_of_its_batch_alone():
+    batch = [meshes.jittered(8, 7, 0.5, 0), hopeless(), meshes.jittered(8, 7, 0.9, 1)]
+    moved, info = untangle(join(batch))
+    assert info.status[1] == Status.STALLED
+    for b, mesh in enumerate(batch):
+        alone, by_itself = untangle(mesh)
+        assert torch.equal(moved.split()[b].points, alone.points)
+        for name in ("status", "iterations", "evaluations"):
+            assert getattr(info, name)[b] == getattr(by_itself, name)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "lost"),
+    [
+        ((-1.0, 10), (-0.95, 10), True),
+        ((-1.0, 10), (-0.85, 10), False),  # the lowest determinant rises
+        ((-1.0, 10), (-0.95, 8), False),  # fewer are inverted
+        ((-1e-3, 10), (-1e-3, 10), False),  # within reach of epsilon
+        ((-1.0, 10), (0.5, 0), False),
+    ],
+)
+def test_hope_is_lost_when_nothing_gained_in_ten_rounds(before, now, lost):
+    hope = _Hope(torch.ones(3, dtype=torch.float64))
+    row, eps = torch.tensor([1]), torch.tensor([1e-2], dtype=torch.float64)
+
+    def ask(turn, lowest, count):
+        return hope.lost(turn, row, eps, torch.tensor([lowest], dtype=torch.float64), torch.tensor([count])).item()
+
+    assert not any(ask(turn, *before) for turn in range(_PATIENCE))
+    assert ask(_PATIENCE, *now) is lost
