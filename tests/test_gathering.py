@@ -11,7 +11,7 @@ import torchmesh as tm
 from torchmesh import connectivity
 from torchmesh.gathering import Places, _held, gather, places_of
 from torchmesh.relocation import Relocation
-from torchmesh.remeshing import RemeshOptions
+from torchmesh.remesh_options import RemeshOptions
 from torchmesh.sizing import boundary_sizes, continue_inwards
 
 

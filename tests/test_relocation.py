@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 import torchmesh as tm
 from torchmesh import connectivity
 from torchmesh.certificate import same_frame
-from torchmesh.relocation import Relocation, crowded
-from torchmesh.remeshing import RemeshOptions
+from torchmesh.relocation import Relocation
+from torchmesh.remesh_options import RemeshOptions, crowded
 
 
 def relocated(batch, **options):

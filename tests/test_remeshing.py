@@ -18,7 +18,8 @@ from torchmesh.certificate import same_frame
 from torchmesh.collapsing import Collapses, collapse, collapse_rounds, evaluate, proposals, still_upright
 from torchmesh.editing import Editable, compact, independent, neighbours
 from torchmesh.genealogy import Names, exchange
-from torchmesh.remeshing import RemeshOptions, editable, rebuilt, remesh
+from torchmesh.remesh_options import RemeshOptions
+from torchmesh.remeshing import editable, rebuilt, remesh
 from torchmesh.sizing import size_field
 from torchmesh.splitting import append, split, split_rounds, splittable, worst_after
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from .polishing import PolishInfo, PolishOptions, polish
     from .pyg import from_pyg, to_pyg
     from .pyvista_export import to_pyvista
-    from .remeshing import RemeshInfo, RemeshOptions, remesh
+    from .remesh_options import RemeshOptions
+    from .remeshing import RemeshInfo, remesh
     from .report import Progress, Report, Step
     from .series import Series, read_series, write_series
     from .sizing import SizeConformity, size_conformity, size_field
@@ -55,7 +56,8 @@ _NAMES = {
     "polishing": "PolishInfo PolishOptions polish",
     "pyg": "from_pyg to_pyg",
     "pyvista_export": "to_pyvista",
-    "remeshing": "RemeshInfo RemeshOptions remesh",
+    "remesh_options": "RemeshOptions",
+    "remeshing": "RemeshInfo remesh",
     "report": "Progress Report Step",
     "series": "Series read_series write_series",
     "sizing": "SizeConformity size_conformity size_field",

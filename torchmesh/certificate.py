@@ -1,15 +1,19 @@
 """Is the frame of a mesh - boundary, constrained edges, holes, fixed vertices - what it was?"""
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 
 from . import connectivity
-from .genealogy import VertexMap
 from .mesh import MeshBatch
 from .segments import counts_from_offsets, segment_count
 
+if TYPE_CHECKING:
+    from .genealogy import VertexMap
 
-def same_frame(before: MeshBatch, after: MeshBatch, stays: Tensor, vertex_map: VertexMap | None = None) -> Tensor:
+
+def same_frame(before: MeshBatch, after: MeshBatch, stays: Tensor, vertex_map: "VertexMap | None" = None) -> Tensor:
     """(B,) bool: the same boundary edges and Euler number, every constrained edge there, `stays` (V,) unmoved.
 
     vertex_map  how the vertices of `after` answer to those of `before`; None: row by row.  A boundary or

@@ -22,8 +22,7 @@ from torch import Tensor
 from . import connectivity
 from .mesh import MeshBatch, put
 from .quality import Quality, quality
-from .relocation import crowded
-from .remeshing import RemeshOptions
+from .remesh_options import RemeshOptions, crowded
 from .report import Report
 from .segments import counts_from_offsets, segment_count, segment_max, segment_sum, spread
 from .triangle import corners, squared_edge_lengths

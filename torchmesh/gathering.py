@@ -19,7 +19,7 @@ from torch import Tensor
 from .mesh import MeshBatch, put
 from .quality import quality
 from .relocation import Relocation
-from .remeshing import RemeshOptions
+from .remesh_options import RemeshOptions
 from .segments import counts_from_offsets, segment_ids, segment_max, segment_sum, spread
 from .sizing import continue_inwards, exp, log
 from .triangle import SQRT3, corners, signed_area

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
@@ -16,26 +16,26 @@ from . import connectivity
 from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
-from .gathering import gather
 from .lbfgs import LbfgsOptions
 from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
 from .options import ImproveOptions
-from .pockets import untangle_batch_by_pockets
 from .polishing import bad_triangles, polish
 from .quality import quality
-from .relocation import Relocation, crowded
-from .remeshing import RemeshInfo, Remeshing, RemeshOptions
+from .remesh_options import RemeshOptions, crowded
 from .report import Progress, Report, Step
 from .segments import segment_any, segment_count, spread
 from .sizing import SizeConformity, size_conformity, size_field
-from .sliding import rails_of
 from .smoothing import SmoothOptions, smooth, vertex_size
 from .status import Status
-from .surgery import untangle_by_surgery
 from .targets import MetricField, as_targets, narrow
 from .unscrambling import unscramble
 from .untangling import UntangleOptions, untangle
 from .warping import femwarp
+
+# What few meshes come to is loaded where one does: relocation, remeshing, sliding, pockets.
+if TYPE_CHECKING:
+    from .rails import Rails
+    from .remeshing import RemeshInfo
 
 # Rounds of flips between two goes of untangling: the first flips do most, the last ones have tangles
 # as their only guide.
@@ -71,7 +71,11 @@ class Job:
         hold: Tensor | None = None,
     ) -> None:
         self.given = self.batch = batch
-        self.rails = rails_of(batch, options.smooth.corner_angle, hold) if options.slides else None
+        self.rails: Rails | None = None
+        if options.slides:
+            from .sliding import rails_of
+
+            self.rails = rails_of(batch, options.smooth.corner_angle, hold)
         # (V,) bool: the fixed vertices that do not slide either.
         self.stays = batch.fixed if self.rails is None else batch.fixed & ~self.rails.may_slide(batch.point_offsets)
         self.options, self.progress, self.observe = options, progress, observe
@@ -156,7 +160,7 @@ class Job:
                 self._untangle("untangle-beta", going & self.tangled, self.options.untangle)
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
-            self._try("pockets", self.batch, untangle_batch_by_pockets)
+            self._try("pockets", self.batch, _by_pockets)
         self._regularised(self.given, UntangleOptions())
         elsewhere = segment_any((relaxed.points != self.given.points).any(1), self.given.point_offsets)
         self._regularised(relaxed, UntangleOptions(size_sweeps=(100,)), elsewhere)
@@ -207,6 +211,9 @@ class Job:
         asked = RemeshOptions() if self.options.topology == "full" else self.options.remesh
         at = crowded(self.quality, asked, self.batch.triangle_offsets)
         if bool(at.any()):
+            from .gathering import gather
+            from .relocation import Relocation
+
             with self._stage("relocate", at) as done:
                 work = Relocation(self.batch.select(at), self._sized(at))
                 work.improve(torch.ones_like(at[at]))
@@ -231,9 +238,13 @@ class Job:
     def remesh(self) -> None:
         """Splits and collapses where they better the valid meshes."""
         at = self.quality.inverted == 0
+        from .remeshing import Remeshing
+
         work = Remeshing(self.batch, self._sized(torch.ones_like(at)))
         stuck = ~at & (self.status == Status.STALLED)
         if bool(stuck.any()):
+            from .surgery import untangle_by_surgery
+
             with self._stage("surgery", stuck) as done:
                 pockets = untangle_by_surgery(work, stuck)
                 self._twin = None
@@ -431,6 +442,12 @@ class Job:
                 report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
 
         return monitor
+
+
+def _by_pockets(part: MeshBatch) -> tuple:
+    from .pockets import untangle_batch_by_pockets
+
+    return untangle_batch_by_pockets(part)
 
 
 def _rewired(before: MeshBatch, after: MeshBatch) -> Tensor:

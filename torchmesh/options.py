@@ -7,7 +7,7 @@ from torch import Tensor
 
 from .mesh import MeshBatch
 from .polishing import PolishOptions
-from .remeshing import RemeshOptions
+from .remesh_options import RemeshOptions
 from .smoothing import SmoothOptions
 from .targets import check_topology
 from .untangling import UntangleOptions

@@ -13,9 +13,9 @@ from .collapsing import collapse_rounds
 from .editing import Editable
 from .mesh import MeshBatch, put, triangle_mesh
 from .packing import centre_and_unit
-from .quality import Quality
-from .remeshing import Remeshing, RemeshOptions, editable
-from .segments import counts_from_offsets, segment_count, segment_sum, spread
+from .remesh_options import RemeshOptions
+from .remeshing import Remeshing, editable
+from .segments import counts_from_offsets, segment_sum, spread
 from .splitting import Room, split_rounds
 from .triangle import SQRT3, corners, signed_area
 
@@ -25,25 +25,6 @@ _WORTH = 1.2
 
 # How often a mesh may try to exchange fewer vertices.
 _TRIES = 4
-
-
-# Above this mean or maximum of the inverse mean ratio, flips and smoothing have not come far enough.
-_MEAN, _MAX = 1.06, 1.9
-# So small a part of the triangles above that maximum is not worth work on a whole large mesh.
-_FEW = 1e-4
-
-
-def crowded(q: Quality, options: RemeshOptions, triangle_offsets: Tensor | None = None) -> Tensor:
-    """(B,) bool: valid meshes that relocation may better, or for which sizes were asked.
-
-    With `triangle_offsets` (B+1,) a few poor triangles of a large mesh do not count.
-    """
-    poor = q.max > _MAX
-    if triangle_offsets is not None:
-        counts = counts_from_offsets(triangle_offsets)
-        poor = segment_count(q.inverse_mean_ratio > _MAX, triangle_offsets) > _FEW * counts
-    asked = not (isinstance(options.sizes, str) and options.sizes == "boundary")
-    return (q.inverted == 0) & ((q.mean > _MEAN) | poor | asked)
 
 
 class Relocation(Remeshing):

@@ -2,17 +2,19 @@
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from .errors import ConvergenceError
-from .genealogy import VertexMap
 from .quality import Quality
-from .remeshing import RemeshInfo
 from .sizing import SizeConformity
 from .status import Status
+
+if TYPE_CHECKING:
+    from .genealogy import VertexMap
+    from .remeshing import RemeshInfo
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,11 @@ class Report:
     steps: list[list[Step]]
     messages: list[str]
     moved: Tensor
-    remeshed: RemeshInfo | None = None
+    remeshed: "RemeshInfo | None" = None
     sizes: SizeConformity | None = None
 
     @property
-    def vertex_map(self) -> VertexMap | None:
+    def vertex_map(self) -> "VertexMap | None":
         """How the returned vertices answer to the given ones; None where they are the same."""
         return None if self.remeshed is None else self.remeshed.vertex_map
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
@@ -12,12 +12,13 @@ from .lbfgs import LbfgsOptions, minimise
 from .mesh import MeshBatch
 from .packing import MeshObjective, pack
 from .quality import upright
-from .rails import Rails
 from .segments import segment_any, spread
-from .sliding import Slide, rails_of
 from .status import Status
 from .targets import TargetFunction, Targets, aim, as_targets, check
 from .triangle import corners, squared_edge_lengths
+
+if TYPE_CHECKING:
+    from .rails import Rails
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class MoveInfo:
     iterations: Tensor
     evaluations: Tensor
     status: Tensor
-    rails: Rails | None = None
+    rails: "Rails | None" = None
 
 
 Monitor = Callable[[int, Tensor], None]
@@ -96,7 +97,7 @@ def smooth(
     *,
     free: Tensor | None = None,
     monitor: Monitor | None = None,
-    rails: Rails | None = None,
+    rails: "Rails | None" = None,
 ) -> tuple[MeshBatch, MoveInfo]:
     """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
 
@@ -111,6 +112,8 @@ def smooth(
     options = options or SmoothOptions()
     refused = segment_any(~upright(batch), batch.triangle_offsets)
     if rails is None and options.boundary == "slide":
+        from .sliding import rails_of
+
         rails = rails_of(batch, options.corner_angle)
     stays = batch.fixed if rails is None else batch.fixed & ~rails.may_slide(batch.point_offsets)
     may_move = ~stays & ~spread(refused, batch.point_offsets)
@@ -131,7 +134,11 @@ def smooth(
     targets = as_targets(options.targets)
     if targets is not None:
         objective = aim(objective, batch, packing, targets)
-    slide = None if rails is None else Slide(batch, rails, packing)
+    slide = None
+    if rails is not None:
+        from .sliding import Slide
+
+        slide = Slide(batch, rails, packing)
     problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
     result = minimise(
         problem,
