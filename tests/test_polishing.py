@@ -133,8 +133,7 @@ def test_a_mesh_with_many_bad_triangles_wants_other_means():
 @pytest.mark.parametrize("ratio", [1.0, 1.7, 6.0])
 def test_no_fan_of_boundary_triangles_passes_its_limit(degrees, ratio):
     alpha, generator = math.radians(degrees), torch.Generator().manual_seed(degrees)
-    best = 0.0
-    limit = None
+    best, roundest = 0.0, math.inf
     for k in range(1, 7):
         for trial in range(40):
             # Between sides of lengths 1 and `ratio`: equal shares at first, then any.
@@ -149,11 +148,14 @@ def test_no_fan_of_boundary_triangles_passes_its_limit(degrees, ratio):
             fan = torch.tensor([[0, i + 1, i + 2] for i in range(k)])
             mesh = tm.MeshBatch.from_arrays(points, fan)
             angle = math.radians(float(tm.minimum_angle(mesh)))
-            limit = float(_fan_limits(mesh, torch.ones(k + 2, dtype=torch.bool))[0])
+            limit, least = (float(v[0]) for v in _fan_limits(mesh, torch.ones(k + 2, dtype=torch.bool)))
             # Sums of k angles and ratios, rounded.
             assert angle <= limit + 1e-12
-            best = max(best, angle)
+            shape = float(tm.quality(mesh).max)
+            assert shape >= least * (1 - 1e-12)
+            best, roundest = max(best, angle), min(roundest, shape)
     assert best == pytest.approx(limit, rel=1e-9)
+    assert roundest == pytest.approx(least, rel=1e-9)
 
 
 def test_a_mesh_alone_and_the_same_in_a_batch_get_the_same_bits():

@@ -172,15 +172,16 @@ class _Polishing:
             batch.frames,
         )
         self.stuck = torch.zeros(len(self.faces), dtype=torch.bool, device=bad.device)
-        self.limit = _fan_limits(self.part, self.complete)
+        self.least, self.most = _fan_limits(self.part, self.complete)
 
-    @property
-    def asked(self) -> Tensor:
-        """(T',) radians: the angle below which a triangle is bad, which may be less where the boundary sets a limit."""
-        a, b, c = (self.limit.index_select(0, v.contiguous()) for v in self.part.triangles.unbind(1))
-        limit = torch.minimum(a, torch.minimum(b, c))
+    def asked(self) -> tuple[Tensor, Tensor]:
+        """(T',) radians and inverse mean ratios beyond which a triangle is bad: less strict at limits of the boundary."""
+        corner = [v.contiguous() for v in self.part.triangles.unbind(1)]
+        angle = torch.stack([self.least.index_select(0, v) for v in corner]).amin(0)
+        ratio = torch.stack([self.most.index_select(0, v) for v in corner]).amax(0)
         wanted = math.radians(self.options.angle)
-        return torch.where(limit < wanted, _OF_LIMIT * limit, wanted)
+        angle = torch.where(angle < wanted, _OF_LIMIT * angle, wanted)
+        return angle, torch.where(ratio > self.options.ratio, ratio / _OF_LIMIT, self.options.ratio)
 
     def whole(self) -> MeshBatch:
         """The batch with what was bettered in its place."""
@@ -195,8 +196,8 @@ class _Polishing:
         self.stuck = torch.zeros_like(self.stuck)
         for turn in range(self.options.max_rounds):
             t = corners(self.part.points.to(torch.float64), self.part.triangles)
-            angle = triangle.minimum_angle(t)
-            bad = ((angle < self.asked) | (inverse_mean_ratio(t) > self.options.ratio)) & ~self.stuck
+            angle, (least, most_ratio) = triangle.minimum_angle(t), self.asked()
+            bad = ((angle < least) | (inverse_mean_ratio(t) > most_ratio)) & ~self.stuck
             if not turn:
                 many = segment_count(bad, self.part.triangle_offsets) > most
                 self.stuck |= spread(many, self.part.triangle_offsets)
@@ -226,15 +227,18 @@ class _Polishing:
         self.flips.index_add_(0, owner, flips[good])
 
 
-def _fan_limits(part: MeshBatch, complete: Tensor) -> Tensor:
-    """(V,) radians: no triangulation has all angles at the boundary vertex above this; infinite elsewhere.
+def _fan_limits(part: MeshBatch, complete: Tensor) -> tuple[Tensor, Tensor]:
+    """(V,) radians and (V,) ratios: no triangulation has all angles at the boundary vertex above, or all inverse mean
+    ratios below these; infinite and 1 elsewhere.
 
     A fan of k triangles fills the angle alpha between boundary edges of lengths a and b.  Its triangles have angles
     t and ratios r of sides, and none below theta where t >= theta and |log r| <= log(sin(t + theta) / sin(theta)),
-    a convex set in (t, log r); so the best fan is the one of equal triangles, and its k is the best of all.
+    a convex set in (t, log r); so the best fan is the one of equal triangles, and its k is the best of all.  The same
+    holds for the inverse mean ratio (r + 1 / r - cos t) / (sqrt(3) sin t), the cosh of a hyperbolic distance.
     complete  (V,) bool, all triangles at the vertex are there
     """
     limit = torch.full((len(part.points),), torch.inf, dtype=torch.float64, device=complete.device)
+    round_limit = torch.ones_like(limit)
     twin = twins(part.triangles)
     out = (twin < 0).nonzero().squeeze(1)
     vertex = part.triangles.reshape(-1)
@@ -252,9 +256,12 @@ def _fan_limits(part: MeshBatch, complete: Tensor) -> Tensor:
     ratio = 0.5 * np.abs(np.log(ux * ux + uy * uy) - np.log(vx * vx + vy * vy))[:, None]
     k = np.arange(1, _MOST_IN_A_FAN + 1)
     t = alpha / k
-    least = np.where(t < np.pi, np.minimum(t, np.arctan2(np.sin(t), np.exp(ratio / k) - np.cos(t))), 0.0)
-    limit[here] = torch.from_numpy(least.max(1, initial=0.0)).to(limit.device)
-    return limit
+    r = np.exp(ratio / k)
+    angle = np.where(t < np.pi, np.minimum(t, np.arctan2(np.sin(t), r - np.cos(t))), 0.0)
+    limit[here] = torch.from_numpy(angle.max(1, initial=0.0)).to(limit.device)
+    shape = np.where(t < np.pi, (r + 1 / r - np.cos(t)) / (SQRT3 * np.where(t < np.pi, np.sin(t), 1.0)), np.inf)
+    round_limit[here] = torch.from_numpy(shape.min(1, initial=np.inf)).to(limit.device)
+    return limit, round_limit
 
 
 def _seeds(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
