@@ -103,10 +103,16 @@ def draw(rows: list[dict], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(3, len(FAMILIES), figsize=(3.6 * len(FAMILIES), 9), layout="constrained", sharey="row")
-    for column, (name, family) in enumerate(FAMILIES.items()):
+    shown = {name: family for name, family in FAMILIES.items() if any(r["family"] == name for r in rows)}
+    ways = [way for way in WAYS if any(r["way"] == way for r in rows)]
+    figure, axes = plt.subplots(
+        3, len(shown), figsize=(3.6 * len(shown), 9), layout="constrained", sharey="row", squeeze=False
+    )
+    for column, (name, family) in enumerate(shown.items()):
         places = range(len(family.values))
         for (style, colour), way in zip(LOOKS, WAYS, strict=True):
+            if way not in ways:
+                continue
             groups = [
                 [r for r in rows if r["family"] == name and r["way"] == way and r["value"] == v] for v in family.values
             ]
@@ -121,9 +127,11 @@ def draw(rows: list[dict], path: Path) -> None:
             axis.set_xticks(places, [f"{v:g}" for v in family.values])
             axis.grid(alpha=0.3)
     axes[0, 0].set(ylabel="part that ends valid")
-    axes[1, 0].set(ylabel="IMR average, of the valid", yscale="log")
-    axes[2, 0].set(ylabel="seconds for 1,000 triangles, of the valid", yscale="log")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(WAYS))
+    # An axis without a point has no logarithm.
+    scale = "log" if any(r["valid"] for r in rows) else "linear"
+    axes[1, 0].set(ylabel="IMR average, of the valid", yscale=scale)
+    axes[2, 0].set(ylabel="seconds for 1,000 triangles, of the valid", yscale=scale)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(ways))
     figure.suptitle("Where the paper's algorithm and other tools end and ours goes on")
     figure.savefig(path, dpi=80)
 

@@ -9,6 +9,16 @@ lifted content 11 of 14 (alpha 1e-2, one size), in a fifth of the time where it 
 averages twice as high, 13 of 14 with 1e-4, 5 of 14 with local sizes; untangle-beta 9 of 14.  So
 total lifted content is no option of `untangle`: what it solves, the regularised functional solves
 too, and better.
+
+Regularised is the functional of foldover-free maps (Garanzha, Kaporin, Kudryavtseva, Protais, Ray & Sokolov 2021) with
+its theta and its rule for epsilon.  What differs from the authors' program, which is in no package registry: the
+targets are equilateral triangles of a *local* size, averaged from the tangled mesh, or each triangle of a reference,
+where theirs are the triangles of a rest mesh, and of one size without one; three such size fields are tried in turn; a
+mesh is done as soon as no triangle is inverted, and smoothed by the inverse mean ratio after that, where theirs goes on
+to the functional's least value; no constant depends on the unit of length (theirs scales to a box of side 10); inner
+minimisations are shorter (500 steps), as the next epsilon makes up for it.  The program as published, with targets of
+one size, is the way "foldover-free maps" of never_give_up.py: there, of the cases that it, gmsh or MFEM solve with the
+triangles kept, topology="keep" leaves none.
 """
 
 from __future__ import annotations

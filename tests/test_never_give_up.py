@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import meshes
 import pytest
 import torch
 from exact import inverted
@@ -21,6 +22,60 @@ def fuzz(monkeypatch):
     import fuzz
 
     return fuzz
+
+
+@pytest.fixture
+def validity(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    import validity
+
+    return validity
+
+
+def test_the_independent_check_finds_every_fault(validity):
+    mesh = meshes.grid(4, 4)
+    free = int((~mesh.fixed).nonzero()[0])
+    assert validity.faults(mesh, mesh) == []
+
+    def with_point(row, x, y):
+        points = mesh.points.clone()
+        points[row] = torch.tensor([x, y])
+        return mesh.with_points(points)
+
+    assert "inverted or flat" in validity.faults(mesh, with_point(free, 2.0, 2.0))[0]
+    assert "fixed vertices have moved" in validity.faults(mesh, with_point(0, -0.1, 0.0))
+    flat = mesh.points.clone()
+    flat[mesh.triangles[0, 2]] = 0.5 * (flat[mesh.triangles[0, 0]] + flat[mesh.triangles[0, 1]])
+    assert validity.inverted(flat.numpy(), mesh.triangles.numpy()[:1]) == 1
+    fewer = tm.MeshBatch.from_arrays(mesh.points, mesh.triangles[1:], mesh.fixed)
+    assert validity.faults(mesh, fewer) == ["another boundary", "another Euler number"]
+    twice = torch.cat([mesh.triangles, mesh.triangles[:1]]).numpy()
+    assert max(validity.directed(twice).values()) == 2
+
+
+def test_the_exact_check_sees_what_floating_point_does_not(validity):
+    # The determinant is 2^-60 relative to its products: exactly positive one way round, negative the other.
+    points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [1 + 2**-30, 1 + 2**-30 + 2**-52]], dtype=torch.float64).numpy()
+    assert validity.inverted(points, torch.tensor([[0, 1, 2]]).numpy()) == 0
+    assert validity.inverted(points, torch.tensor([[0, 2, 1]]).numpy()) == 1
+
+
+@pytest.mark.parametrize("family", ["moved", "turned", "jittered", "scrambled", "mapped", "wound"])
+def test_every_family_tangles_and_keeps_its_boundary_simple(family, monkeypatch, tmp_path):
+    pytest.importorskip("gmsh")
+    monkeypatch.syspath_prepend(FOLDER)
+    import tangles
+
+    kind = tangles.FAMILIES[family]
+    value = kind.values[len(kind.values) // 2]
+    case = tangles.tangle(family, value, 300, 0.3, 0, tmp_path, angle=90.0 if kind.turns else 0.0)
+    assert int(tm.quality(case.undeformed).inverted) == 0
+    assert int(tm.quality(case.tangled).inverted) > 0
+    assert tangles.simple(case.tangled)
+    crossed = case.tangled.points.clone()
+    rim = case.tangled.fixed.nonzero().squeeze(1)
+    crossed[rim[0]], crossed[rim[len(rim) // 2]] = case.tangled.points[rim[len(rim) // 2]], case.tangled.points[rim[0]]
+    assert not tangles.simple(case.tangled.with_points(crossed))
 
 
 def test_random_domains_with_their_vertices_anywhere_come_out_valid_or_are_refused_rightly(fuzz):
