@@ -28,7 +28,7 @@ FLOORS = [
     ["quality"],
     ["targets"],
     ["delaunay", "metrics", "pockets", "diagnosis", "paths", "genealogy", "sizing"],
-    ["warping", "unscrambling", "pyg", "sliding", "anisotropy"],
+    ["warping", "unscrambling", "pyg", "sliding", "anisotropy", "patches"],
     ["smoothing"],
     ["untangling", "remesh_options", "polishing"],
     ["remeshing", "certificate"],

@@ -12,16 +12,8 @@ from hypothesis import strategies as st
 import torchmesh as tm
 from torchmesh.certificate import same_frame
 from torchmesh.connectivity import edges, twins
-from torchmesh.polishing import (
-    PolishOptions,
-    _fan_limits,
-    _flipped,
-    _Patches,
-    _repeated,
-    _seeds,
-    bad_triangles,
-    polish,
-)
+from torchmesh.patches import Patches, every_flip, repeated, seeds_of
+from torchmesh.polishing import PolishOptions, _fan_limits, bad_triangles, polish
 
 
 def hops(mesh, start):
@@ -185,7 +177,7 @@ def test_seeds_are_the_worst_for_as_far_as_they_reach(reach):
     mesh = meshes.delaunay(150, 5)
     angle = tm.metrics.measure(mesh, "minimum_angle")
     bad = angle < 30
-    chosen = _seeds(mesh, bad, angle, reach).tolist()
+    chosen = seeds_of(mesh, bad, angle, reach).tolist()
     assert chosen
     expected = []
     for row in bad.nonzero().squeeze(1).tolist():
@@ -205,9 +197,9 @@ def test_seeds_are_the_worst_for_as_far_as_they_reach(reach):
 def test_patches_are_so_many_rings_and_do_not_touch(rings):
     mesh = meshes.disturbed(meshes.grid(20, 18), 0.005, 6)
     angle = tm.metrics.measure(mesh, "minimum_angle")
-    seeds = _seeds(mesh, torch.ones_like(angle, dtype=torch.bool), angle, 2 * rings)
+    seeds = seeds_of(mesh, torch.ones_like(angle, dtype=torch.bool), angle, 2 * rings)
     assert len(seeds) > 2
-    patches = _Patches.round(mesh, seeds, rings, torch.ones_like(mesh.fixed))
+    patches = Patches.cut_out(mesh, seeds, rings, torch.ones_like(mesh.fixed))
     owner = {}
     for p, part in enumerate(patches.mesh.split()):
         rows = slice(int(patches.mesh.point_offsets[p]), int(patches.mesh.point_offsets[p + 1]))
@@ -226,7 +218,7 @@ def test_patches_are_so_many_rings_and_do_not_touch(rings):
 
 def test_every_legal_flip_of_every_mesh_is_a_member():
     batch = tm.join([meshes.delaunay(12, 7), meshes.l_shape(1), meshes.delaunay(9, 8)])
-    members, owner, flipped = _flipped(batch, torch.ones_like(batch.fixed), None)
+    members, owner, flipped = every_flip(batch, torch.ones_like(batch.fixed), None)
     assert len(members) == len(owner) == len(flipped)
     parts, kept = batch.split(), {b: set() for b in range(len(batch))}
     for member, b, changed in zip(members.split(), owner.tolist(), flipped.tolist(), strict=True):
@@ -257,7 +249,7 @@ def test_copies_are_copies():
     batch = tm.join([meshes.l_shape(2), meshes.grid(2, 2), meshes.l_shape(1)])
     owner = torch.tensor([0, 0, 1, 2, 2, 2])
     parts = batch.split()
-    for copy, b in zip(_repeated(batch, owner).split(), owner.tolist(), strict=True):
+    for copy, b in zip(repeated(batch, owner).split(), owner.tolist(), strict=True):
         for name in ("points", "triangles", "fixed", "constrained_edges"):
             assert torch.equal(getattr(copy, name), getattr(parts[b], name)), name
 

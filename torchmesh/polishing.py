@@ -20,10 +20,9 @@ import torch
 from torch import Tensor
 
 from . import triangle
-from .connectivity import next_in_triangle, previous_in_triangle, twins
-from .delaunay import constrained_half_edges
-from .flipping import Quads, edge_exists, new_signs
+from .connectivity import next_in_triangle, twins
 from .mesh import MeshBatch, corners_of, join, touching, triangle_mesh
+from .patches import Patches, every_flip, picked, ragged_rows, seeds_of
 from .quality import Quality, quality
 from .segments import (
     counts_from_offsets,
@@ -175,7 +174,7 @@ class _Polishing:
         self.least, self.most = _fan_limits(self.part, self.complete)
 
     def asked(self) -> tuple[Tensor, Tensor]:
-        """(T',) radians and inverse mean ratios beyond which a triangle is bad: less strict at limits of the boundary."""
+        """(T',) radians and inverse mean ratios beyond which triangles are bad, less strict where the boundary is."""
         corner = [v.contiguous() for v in self.part.triangles.unbind(1)]
         angle = torch.stack([self.least.index_select(0, v) for v in corner]).amin(0)
         ratio = torch.stack([self.most.index_select(0, v) for v in corner]).amax(0)
@@ -204,11 +203,11 @@ class _Polishing:
                 bad &= ~self.stuck
             if not bool(bad.any()):
                 break
-            self._round(_seeds(self.part, bad, angle, 2 * level.rings), level)
+            self._round(seeds_of(self.part, bad, angle, 2 * level.rings), level)
 
     def _round(self, seeds: Tensor, level: _Level) -> None:
         part = self.part
-        patches = _Patches.round(part, seeds, level.rings, self.complete)
+        patches = Patches.cut_out(part, seeds, level.rings, self.complete)
         given = patches.mesh
         best, flips = _best_of(patches, level, self.options)
         before, after = (_Worst.of(mesh, self.options) for mesh in (given, best))
@@ -264,77 +263,6 @@ def _fan_limits(part: MeshBatch, complete: Tensor) -> tuple[Tensor, Tensor]:
     return limit, round_limit
 
 
-def _seeds(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
-    """(P,) rows of the bad triangles that are worse than every other within `reach` edges, ascending."""
-    rows = bad.nonzero().squeeze(1)
-    order = rows[angle[rows].argsort(stable=True)]
-    last = len(order)
-    rank = torch.full((len(part.triangles),), last, dtype=torch.int64, device=bad.device)
-    rank[order] = torch.arange(last, device=bad.device)
-    own, corner = rank, [v.contiguous() for v in part.triangles.unbind(1)]
-    for _ in range(reach):
-        at_vertex = torch.full((len(part.points),), last, dtype=torch.int64, device=bad.device)
-        for v in corner:
-            at_vertex.scatter_reduce_(0, v, rank, "amin")
-        a, b, c = (at_vertex.index_select(0, v) for v in corner)
-        rank = torch.minimum(a, torch.minimum(b, c))
-    return (bad & (rank == own)).nonzero().squeeze(1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Patches:
-    """P small meshes cut out of a batch, whose outermost vertices are fixed.
-
-    mesh      the P meshes;  vertices, faces  (V,), (T,) their rows in the batch
-    complete  (V,) bool, all triangles at the vertex are in its patch
-    seed      (V,) bool, the corners of the patch's worst triangle
-    """
-
-    mesh: MeshBatch
-    vertices: Tensor
-    faces: Tensor
-    complete: Tensor
-    seed: Tensor
-
-    @classmethod
-    def round(cls, part: MeshBatch, seeds: Tensor, rings: int, complete: Tensor) -> "_Patches":
-        """The triangles `seeds` (P,) and so many rings of vertices round each, no two patches in touch."""
-        label = torch.full((len(part.points),), -1, dtype=torch.int64, device=seeds.device)
-        number = torch.arange(len(seeds), device=seeds.device)
-        corner = [v.contiguous() for v in part.triangles.unbind(1)]
-        for v in corner:
-            label[v[seeds]] = number
-        for ring in range(rings):
-            a, b, c = (label.index_select(0, v) for v in corner)
-            of_face = torch.maximum(a, torch.maximum(b, c))
-            if ring < rings - 1:
-                for v in corner:
-                    label.scatter_reduce_(0, v, of_face, "amax")
-        faces = (of_face >= 0).nonzero().squeeze(1)
-        faces = faces[of_face[faces].argsort(stable=True)]
-        owner, count = of_face[faces], len(part.points)
-        # A vertex on the rim of two patches is in both.
-        keys, place = torch.unique(owner[:, None] * count + part.triangles[faces], return_inverse=True)
-        vertices = keys % count
-        mine = label[vertices] == keys // count
-        point_offsets = offsets_from_counts(torch.bincount(keys // count, minlength=len(seeds)))
-        locked = constrained_half_edges(part, part.triangles.new_full((3 * len(part.triangles),), -1))
-        h = locked.reshape(-1, 3)[faces].reshape(-1).nonzero().squeeze(1)
-        ends = torch.stack([place.reshape(-1)[h], place.reshape(-1)[next_in_triangle(h)]], 1)
-        mesh = MeshBatch(
-            part.points[vertices],
-            place,
-            part.fixed[vertices] | ~mine,
-            ends,
-            point_offsets,
-            offsets_from_counts(torch.bincount(owner, minlength=len(seeds))),
-            part.frames[triangle_mesh(part)[seeds]],
-        )
-        seed = torch.zeros(count, dtype=torch.bool, device=seeds.device)
-        seed[part.triangles[seeds]] = True
-        return cls(mesh, vertices, faces, mine & complete[vertices], seed[vertices] & mine)
-
-
 class _Worst(NamedTuple):
     """Per mesh (B,): smallest angle in radians, largest inverse mean ratio, sum of their squares, bad triangles."""
 
@@ -370,14 +298,14 @@ class _Worst(NamedTuple):
         return ((wider | rounder) & no_worse) | (wider & (self.lack(options) == 0))
 
 
-def _best_of(patches: _Patches, level: _Level, options: PolishOptions) -> tuple[MeshBatch, Tensor]:
+def _best_of(patches: Patches, level: _Level, options: PolishOptions) -> tuple[MeshBatch, Tensor]:
     """Each patch (P,) after the best flips found, smoothed; and how many flips those are (P,)."""
     given = patches.mesh
     start, of_start = given, torch.arange(len(given), device=patches.seed.device)
     found, of_found, flips_of_found = [], [], []
     for depth in range(level.flips):
-        complete, seed = (v[_ragged(given.point_offsets, of_start)] for v in (patches.complete, patches.seed))
-        members, of_member, flipped = _flipped(start, complete, seed if level.near else None)
+        complete, seed = (v[ragged_rows(given.point_offsets, of_start)] for v in (patches.complete, patches.seed))
+        members, of_member, flipped = every_flip(start, complete, seed if level.near else None)
         patch = of_start[of_member]
         members, _ = smooth(members, options.smooth)
         few = _first_of_each(patch, _Worst.of(members, options), len(given), _FINALISTS, options)
@@ -388,16 +316,7 @@ def _best_of(patches: _Patches, level: _Level, options: PolishOptions) -> tuple[
     every, owner, flips = join(found), torch.cat(of_found), torch.cat(flips_of_found)
     chosen = _first_of_each(owner, _Worst.of(every, options), len(given), 1, options).nonzero().squeeze(1)
     chosen = chosen[owner[chosen].argsort(stable=True)]
-    return _picked(every, chosen, given), flips[chosen]
-
-
-def _picked(batch: MeshBatch, order: Tensor, like: MeshBatch) -> MeshBatch:
-    """The meshes `order` (P,) of `batch`, which have the rows of `like`."""
-    points = batch.points[_ragged(batch.point_offsets, order)]
-    faces = _ragged(batch.triangle_offsets, order)
-    shift = like.point_offsets[:-1] - batch.point_offsets[:-1][order]
-    triangles = batch.triangles[faces] + spread(shift, like.triangle_offsets)[:, None]
-    return replace(like, points=points, triangles=triangles)
+    return picked(every, chosen, given), flips[chosen]
 
 
 def _first_of_each(owner: Tensor, worst: _Worst, count: int, number: int, options: PolishOptions) -> Tensor:
@@ -410,76 +329,3 @@ def _first_of_each(owner: Tensor, worst: _Worst, count: int, number: int, option
     chosen = torch.zeros(len(owner), dtype=torch.bool, device=owner.device)
     chosen[order] = place < number
     return chosen
-
-
-def _flipped(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple[MeshBatch, Tensor, Tensor]:
-    """Every mesh as it is and with each of its edges flipped that may be.
-
-    Returns the M meshes, the mesh (M,) of `batch` that each comes from, and (M,) bool: is it flipped?
-    complete  (V,) bool, all triangles at the vertex are there
-    near      (V,) bool, flip edges that end at one of these only; None: at any
-    """
-    twin = twins(batch.triangles)
-    vertex = batch.triangles.reshape(-1)
-    locked = constrained_half_edges(batch, twin)
-    half = torch.arange(len(twin), device=twin.device)
-    h = ((twin > half) & ~locked).nonzero().squeeze(1)
-    g = twin[h]
-    u, w, s, r = vertex[h], vertex[g], vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
-    if near is not None:
-        close = near[u] | near[w]
-        h, g, u, w, s, r = (v[close] for v in (h, g, u, w, s, r))
-    x, y = batch.points.to(torch.float64).unbind(1)
-    first, second = new_signs(Quads(x[u], y[u], x[w], y[w], x[s], y[s], x[r], y[r]))
-    # Whether the new edge is there already, one of its ends must know; it does if it has one fan of triangles.
-    knows = complete & (torch.bincount(vertex[twin < 0], minlength=len(x)) < 2)
-    legal = (first > 0) & (second > 0) & (s != r) & (knows[s] | knows[r])
-    h, g, u, w, s, r = (v[legal] for v in (h, g, u, w, s, r))
-    start = torch.where(knows[s], previous_in_triangle(h), previous_in_triangle(g))
-    free = ~edge_exists(vertex, twin, start, torch.where(knows[s], r, s))
-    h, g, u, w, s, r = (v[free] for v in (h, g, u, w, s, r))
-    counts = torch.bincount(triangle_mesh(batch)[h // 3], minlength=len(batch)) + 1
-    owner = torch.arange(len(batch), device=h.device).repeat_interleave(counts)
-    first_member = offsets_from_counts(counts)[:-1]
-    flipped = torch.ones_like(owner, dtype=torch.bool)
-    flipped[first_member] = False
-    # Edges ascend, so those of a mesh stand together, in the order of its members.
-    member = flipped.nonzero().squeeze(1)
-    out = _repeated(batch, owner)
-    triangles = out.triangles.clone()
-    of = owner[member]
-    to_vertex, to_face = (out.point_offsets[:-1][member] - batch.point_offsets[of],
-                          out.triangle_offsets[:-1][member] - batch.triangle_offsets[of])  # fmt: skip
-    triangles[h // 3 + to_face] = torch.stack([u, r, s], 1) + to_vertex[:, None]
-    triangles[g // 3 + to_face] = torch.stack([r, w, s], 1) + to_vertex[:, None]
-    return replace(out, triangles=triangles), owner, flipped
-
-
-def _ragged(offsets: Tensor, owner: Tensor) -> Tensor:
-    """The rows of the meshes `owner` (M,), one after the other."""
-    counts = counts_from_offsets(offsets)[owner]
-    ends = offsets_from_counts(counts)
-    shift = offsets[:-1][owner] - ends[:-1]
-    return torch.arange(int(ends[-1]), device=owner.device) + shift.repeat_interleave(counts)
-
-
-def _repeated(batch: MeshBatch, owner: Tensor) -> MeshBatch:
-    """The meshes `owner` (M,) of the batch, each as often as it is named."""
-    vertices, faces = _ragged(batch.point_offsets, owner), _ragged(batch.triangle_offsets, owner)
-    point_offsets = offsets_from_counts(counts_from_offsets(batch.point_offsets)[owner])
-    triangle_offsets = offsets_from_counts(counts_from_offsets(batch.triangle_offsets)[owner])
-    shift = point_offsets[:-1] - batch.point_offsets[:-1][owner]
-    of_edge = torch.searchsorted(batch.point_offsets, batch.constrained_edges[:, 0].contiguous(), right=True) - 1
-    order = of_edge.argsort(stable=True)
-    edge_offsets = offsets_from_counts(torch.bincount(of_edge, minlength=len(batch)))
-    edges = _ragged(edge_offsets, owner)
-    edge_shift = shift.repeat_interleave(counts_from_offsets(edge_offsets)[owner])
-    return MeshBatch(
-        batch.points[vertices],
-        batch.triangles[faces] + spread(shift, triangle_offsets)[:, None],
-        batch.fixed[vertices],
-        batch.constrained_edges[order][edges] + edge_shift[:, None],
-        point_offsets,
-        triangle_offsets,
-        batch.frames[owner],
-    )
