@@ -6,6 +6,7 @@ import torch
 
 from torchmesh.diagnosis import ProblemKind, diagnose
 from torchmesh.mesh import MeshBatch, join
+from torchmesh.pipeline import improve
 
 
 def grid(n, hole=()):
@@ -332,3 +333,51 @@ def test_as_many_problems_of_a_kind_as_asked_for_however_many_there_are():
     told = {kind: sum(p.kind == kind for p in problems) for kind in kinds(problems)}
     assert told[ProblemKind.FIXED_TRIANGLE] == told[ProblemKind.NO_KERNEL] == told[ProblemKind.BOUNDARY_CROSSING] == 3
     assert max(told.values()) == 3
+
+
+@pytest.mark.parametrize("keep", ["keep", "flip"])
+def test_slits_are_sewn_up_and_other_problems_told_all_the_same(keep):
+    mesh = slit(8)
+    points = mesh.points.clone()
+    points[(~mesh.fixed).nonzero().squeeze(1)[::3]] += 0.4
+    tangled = mesh.with_points(points)
+    assert diagnose(tangled, keep) == []
+    points[0] = torch.tensor([0.5, 0.55])  # a corner, across the slit's middle
+    problems = diagnose(mesh.with_points(points), keep)
+    assert ProblemKind.BOUNDARY_CROSSING in kinds(problems)
+    assert kinds(problems) <= {ProblemKind.BOUNDARY_CROSSING, ProblemKind.FIXED_TRIANGLE}
+
+
+def test_a_hole_with_its_side_on_the_boundary_is_no_slit():
+    points, triangles, index = grid(16, [(i, j) for i in range(6, 10) for j in range(6, 10)])
+    block = np.ix_(range(6, 11), range(6, 11))
+    mesh = MeshBatch.from_arrays(moved(points, index, block, [6 / 16, 0.0]), triangles)
+    problems = diagnose(mesh)
+    assert kinds(problems) <= {ProblemKind.DUPLICATE_VERTICES, ProblemKind.BOUNDARY_CROSSING}
+    assert all(p.place[0] == 1.0 for p in problems)
+    assert len(problems) >= 3
+
+
+def test_a_slit_that_crosses_another_boundary_is_named():
+    mesh = slit(8)
+    points = mesh.points.clone()
+    below, above = ((points[:, 1] == 0.5) & (points[:, 0] == 0.5)).nonzero().squeeze(1).tolist()
+    points[below, 1], points[above, 1] = 0.4, 0.6
+    assert diagnose(mesh.with_points(points)) == []
+    # Overlapping sheets of upright triangles are valid; with one inverted, the hole counts.
+    points[below, 1], points[above, 1] = 0.7, 0.3
+    assert diagnose(mesh.with_points(points)) == []
+    points[(~mesh.fixed).nonzero()[0]] += 0.4
+    problems = diagnose(mesh.with_points(points))
+    assert kinds(problems) == {ProblemKind.HOLE_INSIDE_OUT}
+    assert problems[0].vertices[0] in {below, above}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tangles_beside_a_slit_are_untangled(seed):
+    mesh = slit(12)
+    free = (~mesh.fixed)[:, None]
+    throw = 0.05 * torch.randn(mesh.points.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    after, report = improve(mesh.with_points(torch.where(free, mesh.points + throw, mesh.points)))
+    assert report.certified.tolist() == [True]
+    assert torch.equal(after.points[mesh.fixed], mesh.points[mesh.fixed])

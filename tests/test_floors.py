@@ -18,7 +18,7 @@ FLOORS = [
     # 1
     ["connectivity", "energies", "stiffness", "lbfgs", "sharding"],
     ["flipping", "packing", "insertion", "hessian", "editing"],
-    ["polygons", "obstructions", "rails", "collapsing", "splitting"],
+    ["polygons", "obstructions", "slits", "rails", "collapsing", "splitting"],
     ["meshing"],
     ["families"],
     ["validation"],

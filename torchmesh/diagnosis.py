@@ -17,6 +17,7 @@ from .insertion import signs
 from .mesh import MeshBatch
 from .obstructions import fallen_fixed_triangles, vertices_without_kernel
 from .polygons import crossing_pairs, loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
+from .slits import sewing
 
 
 class ProblemKind(str, Enum):
@@ -56,12 +57,14 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
     topology  "flip": whatever the triangles.  No problem found means that `untangle_by_pockets` can
-              repair the mesh, rounding permitting.  "keep": with the triangles as they are, also the
-              obstructions that moving free vertices cannot mend.  They are not all there are: a mesh
-              without a problem may still have no valid places
+              repair the mesh, rounding permitting, but for pockets with a slit in them.  "keep": with the
+              triangles as they are, also the obstructions that moving free vertices cannot mend.  They are
+              not all there are: a mesh without a problem may still have no valid places
     most      how many problems of one kind are told of one mesh
 
     A mesh, or a piece of it, that has no inverted triangle is valid, and nothing is said of it.
+    Slits of no width may be there: where two stretches of boundary lie on each other edge by edge, they are
+    taken as sewn up, and the vertices told of are the first in their place.
     Pieces of a mesh not joined by edges may lie over each other.  Loops may share vertices.  What
     lies inside what is looked at only in meshes whose edges do not cross.  Signs are exact.
     """
@@ -83,7 +86,7 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
 _Found = tuple[ProblemKind, str, tuple[int, ...], tuple[float, float]]
 
 
-def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
+def _of_one(mesh: MeshBatch, keep: bool, most: int, sew: bool = True) -> list[_Found]:
     points = mesh.points.detach().to("cpu", torch.float64).numpy()
     triangles = mesh.triangles.cpu()
     twin = connectivity.twins(triangles)
@@ -99,26 +102,34 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
         label = connectivity.triangle_components(triangles, twin)
     ends = torch.stack([connectivity.tails(triangles), connectivity.heads(triangles)], 1)
     count = len(points)
-    inner = twin >= 0
-    wall = torch.zeros_like(inner)
     constraints = mesh.constrained_edges.cpu()
+    of_piece = np.zeros(count, np.int64)
+    of_piece[triangles.numpy()] = label.numpy()[:, None]
+    slit = torch.zeros_like(twin, dtype=torch.bool)
+    name = sewing(points, triangles.numpy(), ends[twin < 0].numpy(), of_piece) if sew else None
+    if name is not None:
+        sewn = torch.from_numpy(name)
+        triangles, ends, constraints = sewn[triangles], sewn[ends], sewn[constraints]
+        slit, twin = twin < 0, connectivity.twins(triangles)
+        slit &= twin >= 0
+        label = connectivity.triangle_components(triangles, twin)
+    inner = twin >= 0
+    wall = slit
     if len(constraints):
         walls = connectivity.edge_keys(constraints[:, 0], constraints[:, 1], count)
-        wall = torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & inner
+        wall = slit | (torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & inner)
     held = mesh.fixed.cpu()[ends].all(1) & inner if keep else torch.zeros_like(inner)
     parted = wall | held
     closed = connectivity.triangle_components(triangles, twin, parted) if bool(parted.any()) else label
-    piece, region = label.numpy(), closed.numpy()
+    region = closed.numpy()
     once = ~inner | (parted & (torch.arange(len(twin)) < twin))
     rows = once.nonzero().squeeze(1).numpy()
     edges = ends.numpy()[rows]
-    what = np.where(~inner, _BORDER, np.where(wall, _CONSTRAINT, _HELD))[rows]
+    what = np.where(~inner | slit, _BORDER, np.where(wall, _CONSTRAINT, _HELD))[rows]
     faces = triangles.numpy()
     used = np.zeros(count, bool)
     used[faces] = True
     fixed = used & mesh.fixed.cpu().numpy()
-    of_piece = np.zeros(count, np.int64)
-    of_piece[faces] = piece[:, None]
     found = _first(_duplicates(points, of_piece, fixed), most)
     if keep:
         on_rim = np.zeros(count, bool)
@@ -136,6 +147,9 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[_Found]:
         for rim_rows, face_rows in zip(_grouped(own, rim), _grouped(region, ~judged), strict=True):
             if len(face_rows):
                 found += _nesting(points, ends.numpy()[rim_rows], faces[face_rows], fixed)
+        if name is not None and {kind for kind, *_ in found} == {ProblemKind.VERTEX_OUTSIDE}:
+            # No slit, but a hole, say, whose side lies on the boundary: told as such.
+            return _of_one(mesh, keep, most, sew=False)
     return found
 
 
