@@ -195,7 +195,7 @@ def foldover_free(points: Array, triangles: Array, fixed: Array) -> Outcome:
     """Foldover-free maps (Garanzha, Kaporin, Kudryavtseva, Protais, Ray & Sokolov 2021), plainly, with scipy's L-BFGS.
 
     The authors' program is in no package registry; this is their section 3 with its constants: theta = 1/128,
-    epsilon from 1 by the ratio of energies, inner minimisations until the gradient is below 1e-4 or 1,000
+    epsilon from 1 by the ratio of energies, inner minimisations until the gradient is below 1e-4 or 10,000
     steps are done, in a box of side 10.  As nothing is known of an undeformed mesh, every target is equilateral and
     all have one size, the domain's area over the number of triangles.
     """
@@ -232,7 +232,7 @@ def foldover_free(points: Array, triangles: Array, fixed: Array) -> Outcome:
             before = energy(unknowns, eps)[0]
             unknowns = minimize(
                 lambda u, eps=eps: energy(u, eps)[:2], unknowns, jac=True, method="L-BFGS-B",
-                options={"maxiter": 1000, "maxfun": 2000, "gtol": 1e-4, "ftol": 1e-7},
+                options={"maxiter": 10_000, "maxfun": 20_000, "gtol": 1e-4, "ftol": 1e-9},
             ).x  # fmt: skip
             after, _, lowest = energy(unknowns, eps)
             sigma = max(1 - after / before, 0.1)
@@ -242,7 +242,7 @@ def foldover_free(points: Array, triangles: Array, fixed: Array) -> Outcome:
             still = eps
             eps = max(1e-9, 2 * float(np.sqrt(mu * (mu - lowest)))) if lowest < mu else 1e-9
             settled = abs(before - after) < 1e-5 * after if lowest > 0 else eps >= still
-            if settled or rounds == 40:
+            if settled or rounds == 100:
                 break
     moved = points.copy()
     moved[free] = unknowns.reshape(-1, 2) / unit + low
