@@ -32,6 +32,8 @@ from .targets import MetricField
 _FEW = 500
 # A lower mean is worth a maximum that is this much higher: it hangs on one triangle.
 _SLACK = 1.02
+# The last smoothing brings maxima below its ceiling that are this much above it.
+_OVER_CEILING = 1.07
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ class Remeshing:
         self.size = self._sizes(going)
         self._rounds(going)
         # Rows of right-angled triangles fit their sizes, and no single split or collapse betters them.
-        ceiling = self.options.smooth.ceiling or 1.0
+        ceiling = _OVER_CEILING * (self.options.smooth.ceiling or 1.0)
         for shake in self.shakes:
             before = self._quality()
             rough = going & (before.mean > self.rough) & (self.rounds > 0)
