@@ -22,7 +22,7 @@ from .options import ImproveOptions
 from .polishing import bad_triangles, polish
 from .quality import quality
 from .remesh_options import RemeshOptions, crowded
-from .report import Progress, Report, Step
+from .report import Progress, Report, Step, left_over
 from .segments import segment_any, segment_count, spread
 from .sizing import SizeConformity, size_conformity, size_field
 from .smoothing import SmoothOptions, smooth, vertex_size
@@ -307,13 +307,9 @@ class Job:
 
     def _message(self, b: int, status: Status) -> str:
         """Why mesh `b` ended."""
-        text, left = self.messages.get(b, status.message), self.steps[b][-1].inverted
-        if status not in (Status.STALLED, Status.ITERATION_LIMIT) or not left:
-            return text
-        tried = dict.fromkeys(step.stage for step in self.steps[b][1:])
-        text = f"{self.obstacles.get(b) or text}; {left} inverted triangles are left after {', '.join(tried)}"
-        if self.options.topology == "keep":
-            text += ": these triangles may have no valid places; topology 'flip' may change their edges"
+        text = self.messages.get(b, status.message)
+        if status in (Status.STALLED, Status.ITERATION_LIMIT) and self.steps[b][-1].inverted:
+            return left_over(self.obstacles.get(b) or text, self.steps[b], self.options.topology == "keep")
         return text
 
     def _flip(self, stage: str, at: Tensor, options: FlipOptions, near: Tensor | None = None) -> Tensor:
@@ -368,10 +364,7 @@ class Job:
     def _try(
         self, stage: str, given: MeshBatch, way: Callable[[MeshBatch], tuple], among: Tensor | None = None
     ) -> None:
-        """Take the tangled meshes some `way` from `given`, and keep what has fewer inverted triangles than now.
-
-        among  (B,) bool, these meshes only
-        """
+        """Take the tangled meshes `among` (B,) some `way` from `given`; keep what has fewer inverted triangles."""
         at = self.tangled if among is None else self.tangled & among
         if not bool(at.any()):
             return

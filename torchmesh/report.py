@@ -163,6 +163,14 @@ class Progress:
     energy: float | None = None
 
 
+def left_over(why: str, steps: list[Step], keep: bool) -> str:
+    """`why` a mesh ended tangled, with what is left, what was tried and, if triangles were kept, what may help."""
+    tried = dict.fromkeys(step.stage for step in steps[1:])
+    text = f"{why}; {steps[-1].inverted} inverted triangles are left after {', '.join(tried)}"
+    hint = ": these triangles may have no valid places; topology 'flip' may change their edges"
+    return text + hint if keep else text
+
+
 def _plain(value: Any) -> Any:
     """`value`, or None for a number that JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
