@@ -79,6 +79,8 @@ class LbfgsResult:
 
 
 _SUFFICIENT_DECREASE = 1e-4
+# The part of an energy that sums of some thousand terms round off.
+_ROUNDING = 1e-15
 # Below this part of the slope along a step, the change of slope may be rounding.
 _CURVATURE = 1e-6
 
@@ -220,8 +222,14 @@ class _Run:
         energy = energy * self.unit
         gradient = gradient.reshape(-1, BLOCK) * self.metric
         change = energy - self.energy
-        good = running & (change <= _SUFFICIENT_DECREASE * self.t * self.descent) & energy.isfinite()
-        if bool(good.all()):
+        possible = running & energy.isfinite()
+        good = possible & (change <= _SUFFICIENT_DECREASE * self.t * self.descent)
+        everyone = bool(good.all())
+        if not everyone:
+            # So near the minimum that rounding hides the descent, a smaller gradient tells of it.
+            flatter = self._sum((gradient * gradient).sum(1).to(energy)) < self.gg
+            good |= possible & (change <= _ROUNDING * energy.abs()) & flatter
+        if everyone:
             self.x = x
             self._advance(slot, gradient, good)
             self.t = self._whole_step()
