@@ -257,7 +257,9 @@ class Remeshing:
         part = self.batch.select(going)
         metric = self._metric_of(spread(going, self.batch.point_offsets))
         part, info = flip_to_delaunay(part, FlipOptions(rule="shape"), metric=metric)
-        moved, _ = smooth(part, SmoothOptions(max_iterations=iterations, energy_tolerance=1e-3, targets=metric))
+        moved, _ = smooth(
+            part, SmoothOptions(max_iterations=iterations, energy_tolerance=1e-3, targets=metric, single=True)
+        )
         self._renew(going, part, moved)
         flips = torch.zeros_like(self.flips)
         flips[going] = info.flips
