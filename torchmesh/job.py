@@ -17,7 +17,7 @@ from .certificate import same_frame
 from .delaunay import FlipOptions, flip_to_delaunay
 from .diagnosis import diagnose
 from .lbfgs import LbfgsOptions
-from .mesh import MeshBatch, corners_of, put, put_twins, select_twins, touching
+from .mesh import MeshBatch, corners_of, put, put_twins, rewired, select_twins, touching
 from .options import ImproveOptions
 from .polishing import bad_triangles, polish
 from .quality import quality
@@ -53,7 +53,6 @@ _STILL = 0.02
 
 # The inverse mean ratio of a triangle so flat that flips and q^2 would not see the others for it.
 _SLIVER = 1e4
-
 
 # The worst inverse mean ratio of a mesh whose energies are left to single precision.
 _COARSE = 100.0
@@ -182,7 +181,7 @@ class Job:
                 most = FlipOptions().max_rounds if turn else _FIRST_ROUNDS
                 flips = self._flip("flip", going, FlipOptions(rule="shape", max_rounds=most), lively)
                 if turn > 1:
-                    lively = corners_of(self.batch, touching(self.batch, lively | _rewired(before, self.batch)))
+                    lively = corners_of(self.batch, touching(self.batch, lively | rewired(before, self.batch)))
                 self._smooth("smooth", going, rough, lively)
                 if turn:
                     lively = (self.batch.points - before.points).square().sum(1) > (_STILL * size).square()
@@ -441,9 +440,3 @@ def _by_pockets(part: MeshBatch) -> tuple:
     from .pockets import untangle_batch_by_pockets
 
     return untangle_batch_by_pockets(part)
-
-
-def _rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
-    """(V,) bool: the corners of the triangles that are not what they were."""
-    changed = torch.zeros(len(after.triangles), dtype=torch.bool, device=after.triangles.device)
-    return corners_of(after, changed.index_fill_(0, (before.triangles != after.triangles).nonzero()[:, 0], True))

@@ -233,6 +233,12 @@ def corners_of(batch: MeshBatch, triangles: Tensor) -> Tensor:
     return mask.index_fill_(0, batch.triangles.index_select(0, triangles.nonzero().squeeze(1)).reshape(-1), True)
 
 
+def rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
+    """(V,) bool: the corners of the triangles that are not what they were."""
+    changed = torch.zeros(len(after.triangles), dtype=torch.bool, device=after.triangles.device)
+    return corners_of(after, changed.index_fill_(0, (before.triangles != after.triangles).nonzero()[:, 0], True))
+
+
 def surroundings(batch: MeshBatch, triangles: Tensor, rings: int) -> Tensor:
     """(V,) bool: the corners of the `triangles` (T,) bool and the `rings` - 1 rings of vertices round them."""
     near = corners_of(batch, triangles)
