@@ -1036,3 +1036,16 @@ def test_a_file_that_marks_the_whole_boundary_holds_none_of_it(tmp_path):
     write(tmp_path / "a.vtu", inner)
     assert bool(meshio.read(tmp_path / "a.vtu").point_data["fixed"].any())
     assert not bool(held(tmp_path / "a.vtu").any())
+
+
+def test_a_triangle_that_comes_back_wound_the_other_way_is_written_so(tmp_path):
+    """A vertex that travelled may make the same three corners, in the same row, a triangle of the other side."""
+    mesh = meshes.grid(2, 1)
+    write(tmp_path / "in.vtu", mesh)
+    over = mesh.triangles.clone()
+    over[0] = over[0].flip(0)
+    mirrored = mesh.with_triangles(over)
+    write(tmp_path / "out.vtu", mirrored, like=tmp_path / "in.vtu")
+    written = meshio.read(tmp_path / "out.vtu").cells_dict["triangle"]
+    turns = [np.roll(over.numpy(), k, 1) for k in range(3)]
+    assert np.any([(written == t).all(1) for t in turns], 0).all()

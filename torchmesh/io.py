@@ -243,7 +243,9 @@ class _Carry:
         turned = bool((raw != before).any(1).all())  # wholly clockwise in the file: it stays so
         faces = after[:, ::-1] if turned else after
         if same_counts:
-            untouched = (np.sort(raw, 1) == np.sort(after, 1)).all(1) & (turned | (raw == before).all(1))
+            # The same three vertices may come back wound the other way, when one has travelled past the others.
+            untouched = np.any([(raw == np.roll(faces, k, 1)).all(1) for k in range(3)], 0)
+            untouched &= turned | (raw == before).all(1)
             faces = np.where(untouched[:, None], raw, faces)
         example = np.zeros(int(content.region.max()) + 1, np.int64)
         example[content.region] = np.arange(len(before))
