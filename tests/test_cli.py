@@ -174,6 +174,11 @@ def test_improve_keeps_triangles_when_told(call, folder):
     assert (read(folder / "out.vtu").triangles == read(folder / "tangled.vtu").triangles).all()
 
 
+def test_the_fast_method_polishes_nothing(call, folder):
+    assert call("improve", "tangled.vtu", "out.vtu", "--method", "fast", "--report", "r.json").status == 0
+    assert "polish" not in (folder / "r.json").read_text()
+
+
 def test_paper_method_with_an_absolute_beta(call, folder):
     done = call("improve", "tangled.vtu", "out.vtu", "--method", "paper", "--beta", "0.01", "--report", "r.json")
     assert done.status == 0

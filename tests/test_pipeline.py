@@ -18,6 +18,7 @@ from torchmesh import (
     MeshBatch,
     MeshError,
     Progress,
+    RemeshOptions,
     SmoothOptions,
     Status,
     UntangleOptions,
@@ -535,3 +536,24 @@ def test_the_report_says_what_was_tried_where_nothing_helped():
     _, report = improve(meshes.jittered(5, 4, 0.5, 0))
     assert report.valid.tolist() == [True]
     assert "left" not in report.messages[0]
+
+
+def test_fast_is_valid_and_leaves_out_what_the_few_worst_gain_from():
+    batch = join([make() for make in meshes.TANGLED.values()])
+    plain, quick = improve(batch)[1], improve(batch, ImproveOptions.fast())[1]
+    assert torch.equal(plain.valid, quick.valid)
+    stages = {step.stage for steps in quick.steps for step in steps}
+    assert stages & {step.stage for steps in plain.steps for step in steps}
+    assert not stages & {"relocate", "polish"}
+    assert all(sum(s.stage == "smooth" for s in steps) <= 6 for steps in quick.steps)
+    assert ImproveOptions.fast(topology="keep", relocate=True) == ImproveOptions(
+        topology="keep", polish=None, smooth_rounds=4
+    )
+
+
+def test_without_relocation_vertices_travel_only_where_sizes_are_asked_for():
+    mesh = meshes.jittered(seed=1)
+    assert "relocate" in {s.stage for s in improve(mesh)[1].steps[0]}
+    assert "relocate" not in {s.stage for s in improve(mesh, ImproveOptions(relocate=False))[1].steps[0]}
+    sized = ImproveOptions(relocate=False, remesh=RemeshOptions(sizes="uniform"))
+    assert "relocate" in {s.stage for s in improve(mesh, sized)[1].steps[0]}

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 class Method(str, Enum):
     default = "default"
+    fast = "fast"
     paper = "paper"
 
 
@@ -35,7 +36,10 @@ class Boundary(str, Enum):
 
 MethodOption = Annotated[
     Method,
-    typer.Option(help="The best way known, or Kim 2017 (An Iterative Mesh Untangling Algorithm) as printed."),
+    typer.Option(
+        help="The best way known; the same without what only the few worst triangles gain from, in two thirds of the "
+        "time; or Kim 2017 (An Iterative Mesh Untangling Algorithm) as printed."
+    ),
 ]
 TopologyOption = Annotated[
     Topology,
@@ -110,6 +114,7 @@ def improve_options(
     try:
         if method is Method.paper:
             return ImproveOptions.paper(beta=beta, topology=topology.value, boundary=boundary.value)
-        return ImproveOptions(topology=topology.value, boundary=boundary.value)
+        make = ImproveOptions.fast if method is Method.fast else ImproveOptions
+        return make(topology=topology.value, boundary=boundary.value)
     except ValueError as error:
         raise UsageError(str(error)) from None

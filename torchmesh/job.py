@@ -209,6 +209,8 @@ class Job:
         # Where vertices may also come and go, that is the way to sizes.
         asked = RemeshOptions() if self.options.topology == "full" else self.options.remesh
         at = crowded(self.quality, asked, self.batch.triangle_offsets)
+        if not (self.options.relocate or asked.sizes_asked):
+            at = torch.zeros_like(at)
         if bool(at.any()):
             from .gathering import gather
             from .relocation import Relocation
