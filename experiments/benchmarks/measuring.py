@@ -78,8 +78,12 @@ def interleaved(works: Mapping[str, Callable[[], Seconds | None]], repeats: int)
 
 
 def in_fresh_process(code: str, *arguments: object) -> dict[str, Any]:
-    """Run Python `code` with `arguments` as sys.argv[1:] in a new process; the JSON it prints last."""
+    """Run Python `code` with `arguments` as sys.argv[1:] in a new process; the JSON it prints last.
+
+    The first of several runs leaves compiled bytecode to the others, as an installation does to all.
+    """
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     here = str(Path(__file__).parent)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (here, environment.get("PYTHONPATH"))))
     done = subprocess.run(
