@@ -133,7 +133,7 @@ def plot(rows: list[Row], path: Path) -> None:
     # Okabe & Ito's colours, told apart with any colour vision; shapes tell them apart in print.
     looks = dict(zip([OURS, *PEERS], zip(("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"),
                                          "os^vDP", strict=True), strict=True))  # fmt: skip
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    figure = Figure(figsize=(7, 5), layout="constrained")
     axes = figure.add_subplot()
     for tool, (colour, marker) in looks.items():
         done = sorted((r for r in rows if r.tool == tool and r.seconds and "batch" not in r.domain),
@@ -154,7 +154,7 @@ def plot(rows: list[Row], path: Path) -> None:
     axes.set(xscale="log", yscale="log", xlabel="triangles", ylabel="time [s], one thread")
     axes.set_title("Untangling circle, bar and gate; hollow: inverted triangles are left", fontsize=10)
     axes.grid(True, which="both", alpha=0.25)
-    axes.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     figure.savefig(path, dpi=150)
 
 
