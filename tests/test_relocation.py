@@ -96,6 +96,13 @@ def test_one_poor_triangle_of_a_large_mesh_is_not_worth_work_on_all_of_it():
         assert crowded(q, RemeshOptions()).tolist() == [True]
 
 
+def test_a_huge_mesh_must_be_poorer_on_the_whole_to_be_worth_it():
+    for count, mean, expected in ((200_000, 1.07, True), (200_001, 1.07, False), (200_001, 1.09, True)):
+        some = torch.full((count,), mean, dtype=torch.float64)
+        q = tm.Quality(some, some, some > 0, some.mean()[None], some.amax()[None], torch.zeros(1, dtype=torch.int64))
+        assert crowded(q, RemeshOptions(), torch.tensor([0, count])).tolist() == [expected]
+
+
 def test_improve_pulls_vertices_along_and_keeps_their_number():
     mesh = meshes.moved_hole(9.0)
     after, report = tm.improve(mesh)

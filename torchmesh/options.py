@@ -49,10 +49,10 @@ class ImproveOptions:
         default_factory=lambda: UntangleOptions("beta", beta=0.6, local=True, reach=6, max_iterations=25, single=True)
     )
     smooth: SmoothOptions = field(
-        default_factory=lambda: SmoothOptions(ceiling=1.5, max_iterations=70, energy_tolerance=1e-3, single=True)
+        default_factory=lambda: SmoothOptions(ceiling=1.5, max_iterations=300, energy_tolerance=1e-3, single=True)
     )
     untangle_rounds: int = 3
-    smooth_rounds: int = 8
+    smooth_rounds: int = 15
     boundary: Literal["fixed", "slide"] = "fixed"
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
     polish: PolishOptions | None = field(default_factory=PolishOptions)
