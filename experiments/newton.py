@@ -91,7 +91,7 @@ def newton(objective: MeshObjective, start: Tensor, iterations: int) -> Trace:
     for iteration in range(1, iterations + 1):
         at = Hessian.at(torch.cat([x, objective.anchored]), objective.rows, objective.energy, objective.target)
         tolerance = float((gradient.norm() / first).sqrt().clamp(1e-3, 0.5))
-        found = solve(ElementHessian(at), -gradient, offsets, tolerance=tolerance, max_iterations=200)  # type: ignore[arg-type]
+        found = solve(ElementHessian(at), -gradient, offsets, tolerance=tolerance, max_iterations=200)
         passes += 1 + int(found.iterations)
         step, slope = 1.0, float(gradient @ found.x)
         while step > 1e-10:

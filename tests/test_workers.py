@@ -135,7 +135,7 @@ def test_a_closed_run_leaves_no_process(tmp_path):
     assert made[0]._process is None
 
 
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGPIPE")
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGPIPE: there a write to a lost process always raises")
 def test_a_lost_worker_kills_nobody_when_a_library_made_broken_pipes_deadly():
     """gmsh does so in `initialize`: then a write to a process that is gone would end the caller."""
     code = """

@@ -7,6 +7,7 @@ product with the Hessian costs about as much as a gradient and needs no matrix:
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -140,8 +141,24 @@ class Solution:
     converged: Tensor
 
 
+class SymmetricOperator(Protocol):
+    """A symmetric matrix of `size` rows that is known by its products and its diagonal, each (size,)."""
+
+    @property
+    def size(self) -> int: ...
+
+    def __matmul__(self, u: Tensor) -> Tensor: ...
+
+    def diagonal(self) -> Tensor: ...
+
+
 def solve(
-    hessian: Hessian, right: Tensor, offsets: Tensor, *, tolerance: Tensor | float = 1e-10, max_iterations: int = 10_000
+    hessian: SymmetricOperator,
+    right: Tensor,
+    offsets: Tensor,
+    *,
+    tolerance: Tensor | float = 1e-10,
+    max_iterations: int = 10_000,
 ) -> Solution:
     """Solve H x = right for many problems at once, each with its own step and stopping test.
 
