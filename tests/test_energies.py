@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchmesh import energies
-from torchmesh.energies import InverseMeanRatio, Regularised, Target, TotalLiftedContent, UntangleBeta
+from torchmesh.energies import InverseMeanRatio, Regularised, Target, TotalLiftedContent, UntangleBeta, pieces_of
 from torchmesh.triangle import Corners, corners, inverse_mean_ratio, signed_area
 
 ENERGIES = {
@@ -94,7 +94,7 @@ def test_energy_and_forces_are_those_of_autograd_through_the_corners(name, sized
     assert name not in UPRIGHT_ONLY or bool((signed_area(corners(points, triangles)) > 0).all())
     rows = torch.stack([2 * triangles.T, 2 * triangles.T + 1], 1).reshape(6, -1)
     phi, gradient, det = energies.energy_and_forces(
-        points.reshape(-1), rows, ENERGIES[name], energies.equilateral(sides if sized else 1.0)
+        points.reshape(-1), pieces_of(rows, ENERGIES[name], energies.equilateral(sides if sized else 1.0))
     )
     points.requires_grad_()
     expected = independent_energy(name, points, triangles, sides)
@@ -114,7 +114,7 @@ def test_forces_on_a_triangle_sum_to_nothing(name, generator):
     if name in UPRIGHT_ONLY:
         clockwise = signed_area(Corners(*coordinates[rows])) < 0
         rows = torch.where(clockwise, rows[[0, 1, 4, 5, 2, 3]], rows)
-    _, force, _ = energies.energy_and_forces(coordinates, rows, ENERGIES[name], energies.equilateral())
+    _, force, _ = energies.energy_and_forces(coordinates, pieces_of(rows, ENERGIES[name], energies.equilateral()))
     force = force.reshape(100, 3, 2)
     # No energy depends on where the triangle is; each sum is exact to the last bits of its terms.
     assert bool((force.sum(1).abs() <= 1e-14 * force.abs().amax((1, 2))[:, None]).all())
@@ -125,9 +125,9 @@ def test_rows_may_be_int32_and_in_any_order(generator):
     rows = torch.arange(60).reshape(10, 6).T
     order = torch.randperm(60, generator=generator)
     place = order.argsort()
-    straight = energies.energy_and_forces(coordinates, rows, Regularised(1.0), energies.equilateral())
+    straight = energies.energy_and_forces(coordinates, pieces_of(rows, Regularised(1.0), energies.equilateral()))
     shuffled = energies.energy_and_forces(
-        coordinates[order], place[rows].to(torch.int32), Regularised(1.0), energies.equilateral()
+        coordinates[order], pieces_of(place[rows].to(torch.int32), Regularised(1.0), energies.equilateral())
     )
     assert torch.equal(straight[0], shuffled[0])
     assert torch.equal(straight[1], shuffled[1][place])

@@ -198,30 +198,53 @@ def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
     return stretch, target.m * (e1x * e2y - e1y * e2x)
 
 
-def energy_and_forces(
-    coordinates: Tensor,
-    rows: Tensor,
-    energy: Energy,
-    target: Target,
-    borders: list[int] | None = None,
-    edges: Tensor | None = None,
-) -> tuple[Tensor, Tensor, Tensor]:
+class Piece(NamedTuple):
+    """T triangles that are worked on at a time, with what belongs to them.
+
+    rows    (6 T,) where all ax, then all ay, bx, by, cx and cy stand in the vector of coordinates
+    edges   (2, 2, T) x and y of e1 and of e2 where all coordinates are zero; None: zero
+    energy, target  theirs
+    """
+
+    rows: Tensor
+    edges: Tensor | None
+    energy: Energy
+    target: Target
+
+    def edges_at(self, coordinates: Tensor) -> Tensor:
+        """(2, 2, T) x and y of e1 and of e2."""
+        corner = coordinates.index_select(0, self.rows).view(3, 2, -1)
+        edges = corner[1:] - corner[0]
+        return edges if self.edges is None else edges.add_(self.edges)
+
+
+def pieces_of(
+    rows: Tensor, energy: Energy, target: Target, borders: list[int] | None = None, edges: Tensor | None = None
+) -> list[Piece]:
+    """Triangles cut into pieces for `energy_and_forces`.
+
+    rows     (6, T) where the corner coordinates ax, ay, bx, by, cx, cy stand in the vector of coordinates
+    borders  where pieces begin and end, from `chunk_borders`; None: those of one mesh
+    edges    (4, T) the x and y of e1 and of e2 where all coordinates are zero, which then are
+             displacements; None: zero
+    """
+    pieces = []
+    for start, end in itertools.pairwise(chunk_borders([0, rows.shape[1]]) if borders is None else borders):
+        here = slice(start, end)
+        before = None if edges is None else edges[:, here].reshape(2, 2, -1)
+        pieces.append(Piece(rows[:, here].reshape(-1), before, select_rows(energy, here), select_rows(target, here)))
+    return pieces
+
+
+def energy_and_forces(coordinates: Tensor, pieces: list[Piece]) -> tuple[Tensor, Tensor, Tensor]:
     """Energy of every triangle and the gradient of their sum, by hand-derived slopes.
 
     coordinates  (N,) all coordinates in one vector, in any order
-    rows         (6, T) where the corner coordinates ax, ay, bx, by, cx, cy stand in it
-    borders      where chunks of triangles begin and end, from `chunk_borders`; None: one mesh's
-    edges        (4, T) the x and y of e1 and of e2 where all coordinates are zero, which then are
-                 displacements; None: zero
 
     Returns phi (T,), the gradient (N,) and the smallest-det input det (T,).
     """
     gradient = torch.zeros_like(coordinates)
-    parts = []
-    for start, end in itertools.pairwise(chunk_borders([0, rows.shape[1]]) if borders is None else borders):
-        here = slice(start, end)
-        e = edges_of(coordinates, rows[:, here], None if edges is None else edges[:, here])
-        parts.append(_add_forces(e, rows[:, here], select_rows(energy, here), select_rows(target, here), gradient))
+    parts = [_add_forces(piece, coordinates, gradient) for piece in pieces]
     if not parts:
         return coordinates[:0], gradient, coordinates[:0]
     phi, det = parts[0] if len(parts) == 1 else (torch.cat(part) for part in zip(*parts, strict=True))
@@ -247,48 +270,47 @@ def chunk_borders(offsets: list[int]) -> list[int]:
     return [*borders, offsets[-1]] if offsets[-1] > borders[-1] else borders
 
 
-def edges_of(coordinates: Tensor, rows: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """(T,) the x and y of e1 and of e2."""
-    gather = torch.index_select
-    ax, ay = gather(coordinates, 0, rows[0]), gather(coordinates, 0, rows[1])
-    e1x, e1y = gather(coordinates, 0, rows[2]).sub_(ax), gather(coordinates, 0, rows[3]).sub_(ay)
-    e2x, e2y = gather(coordinates, 0, rows[4]).sub_(ax), gather(coordinates, 0, rows[5]).sub_(ay)
-    if before is not None:
-        for e, start in zip((e1x, e1y, e2x, e2y), before, strict=True):
-            e.add_(start)
-    return e1x, e1y, e2x, e2y
-
-
-def _add_forces(
-    edges: tuple[Tensor, Tensor, Tensor, Tensor], rows: Tensor, energy: Energy, target: Target, gradient: Tensor
-) -> tuple[Tensor, Tensor]:
-    """phi and det of some triangles of those e1 and e2; their forces are added to `gradient`."""
-    e1x, e1y, e2x, e2y = edges
+def _add_forces(piece: Piece, coordinates: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
+    """phi and det of the triangles of a piece; their forces are added to `gradient`."""
+    e, target = piece.edges_at(coordinates), piece.target
+    e1x, e1y, e2x, e2y = e.view(4, -1).unbind(0)
     det = (e1x * e2y).addcmul_(e1y, e2x, value=-1).mul_(target.m)
-    if energy.stretches:
+    # The forces on b and c.
+    forces = torch.empty_like(e)
+    f1x, f1y, f2x, f2y = forces.view(4, -1).unbind(0)
+    if piece.energy.stretches:
         # Half the derivative of the stretch by e1 and by e2.
-        s1x, s1y = _combine(target.g11, e1x, target.g12, e2x), _combine(target.g11, e1y, target.g12, e2y)
-        s2x, s2y = _combine(target.g22, e2x, target.g12, e1x), _combine(target.g22, e2y, target.g12, e1y)
-        stretch = (s1x * e1x).addcmul_(s1y, e1y).addcmul_(s2x, e2x).addcmul_(s2y, e2y)
-        phi, by_stretch, by_det = energy.value_and_slopes(stretch, det)
-        by_stretch, by_det = 2 * by_stretch, by_det * target.m
-        s1x.mul_(by_stretch).addcmul_(by_det, e2y)
-        s1y.mul_(by_stretch).addcmul_(by_det, e2x, value=-1)
-        s2x.mul_(by_stretch).addcmul_(by_det, e1y, value=-1)
-        s2y.mul_(by_stretch).addcmul_(by_det, e1x)
-    else:
-        phi, _, by_det = energy.value_and_slopes(det, det)
+        _combine(target.g11, e[0], target.g12, e[1], out=forces[0])
+        _combine(target.g22, e[1], target.g12, e[0], out=forces[1])
+        stretch = (f1x * e1x).addcmul_(f1y, e1y).addcmul_(f2x, e2x).addcmul_(f2y, e2y)
+        phi, by_stretch, by_det = piece.energy.value_and_slopes(stretch, det)
         by_det = by_det * target.m
-        s1x, s1y, s2x, s2y = by_det * e2y, -by_det * e2x, -by_det * e1y, by_det * e1x
-    gradient.index_add_(0, rows[2], s1x).index_add_(0, rows[3], s1y)
-    gradient.index_add_(0, rows[4], s2x).index_add_(0, rows[5], s2y)
-    gradient.index_add_(0, rows[0], s1x.add_(s2x), alpha=-1).index_add_(0, rows[1], s1y.add_(s2y), alpha=-1)
+        forces.mul_(2 * by_stretch)
+        f1x.addcmul_(by_det, e2y)
+        f1y.addcmul_(by_det, e2x, value=-1)
+        f2x.addcmul_(by_det, e1y, value=-1)
+        f2y.addcmul_(by_det, e1x)
+    else:
+        phi, _, by_det = piece.energy.value_and_slopes(det, det)
+        by_det = by_det * target.m
+        torch.mul(e2y, by_det, out=f1x)
+        torch.mul(e1x, by_det, out=f2y)
+        by_det.neg_()
+        torch.mul(e2x, by_det, out=f1y)
+        torch.mul(e1y, by_det, out=f2x)
+    count = 2 * e.shape[2]
+    gradient.index_add_(0, piece.rows[count:], forces.view(-1))
+    gradient.index_add_(0, piece.rows[:count], (forces[0] + forces[1]).view(-1), alpha=-1)
     return phi, det
 
 
-def _combine(p: Tensor | float, u: Tensor, q: Tensor | float, v: Tensor) -> Tensor:
+def _combine(p: Tensor | float, u: Tensor, q: Tensor | float, v: Tensor, out: Tensor) -> None:
     """p u + q v."""
-    return (p * u).add_(v, alpha=q) if isinstance(q, float) else torch.addcmul(p * u, q, v)
+    torch.mul(u, p, out=out)
+    if isinstance(q, float):
+        out.add_(v, alpha=q)
+    else:
+        out.addcmul_(v, q)
 
 
 def select_rows(record: _R, keep: Tensor | slice) -> _R:

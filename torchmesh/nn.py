@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from .diagnosis import diagnose
-from .energies import InverseMeanRatio, chunk_borders, energy_and_forces, equilateral
+from .energies import InverseMeanRatio, chunk_borders, energy_and_forces, equilateral, pieces_of
 from .errors import ConvergenceError, InvalidMeshError
 from .hessian import Hessian, solve
 from .lbfgs import BLOCK
@@ -248,11 +248,12 @@ def _minimised(start: MeshBatch, options: LayerOptions) -> tuple[_State, LayerIn
     energy, target = InverseMeanRatio(options.smooth.power, options.smooth.ceiling), equilateral()
     size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
     size = torch.where(size > 0, size, 1.0)
-    rows, borders = packing.block_offsets * BLOCK, chunk_borders(packing.triangle_offsets.tolist())
+    rows = packing.block_offsets * BLOCK
+    pieces = pieces_of(packing.rows, energy, target, chunk_borders(packing.triangle_offsets.tolist()))
     x, count = packing.unknowns, len(packing.unknowns)
 
     def energies(x: Tensor) -> Tensor:
-        phi, _, det = energy_and_forces(torch.cat([x, packing.anchored]), packing.rows, energy, target, borders)
+        phi, _, det = energy_and_forces(torch.cat([x, packing.anchored]), pieces)
         total = segment_sum(phi, packing.triangle_offsets)
         return torch.where(segment_any(~(det > 0), packing.triangle_offsets), torch.inf, total)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from .energies import Energy, Target, chunk_borders, edges_of, energy_and_forces, select_rows
+from .energies import Energy, Piece, Target, chunk_borders, energy_and_forces, pieces_of, select_rows
 from .lbfgs import BLOCK
 from .segments import (
     counts_from_offsets,
@@ -168,9 +168,7 @@ class MeshObjective:
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         coordinates = torch.cat([unknowns, self.anchored])
-        phi, gradient, det = energy_and_forces(
-            coordinates, self.rows, self.energy, self.target, self.borders, self.edges
-        )
+        phi, gradient, det = energy_and_forces(coordinates, self.pieces)
         energy = segment_sum(phi.to(torch.float64), self.triangle_offsets)
         if self.enough is None:
             done = torch.zeros_like(energy, dtype=torch.bool)
@@ -179,14 +177,19 @@ class MeshObjective:
         return energy, gradient[: len(unknowns)], done
 
     @functools.cached_property
-    def borders(self) -> list[int]:
-        """Where the kernel's chunks of triangles begin and end."""
-        return chunk_borders(self.triangle_offsets.tolist())
+    def pieces(self) -> list[Piece]:
+        """The triangles as the kernel takes them."""
+        borders = chunk_borders(self.triangle_offsets.tolist())
+        return pieces_of(self.rows, self.energy, self.target, borders, self.edges)
 
     def det(self, unknowns: Tensor) -> Tensor:
         """(T,) det J of the packed triangles."""
-        e1x, e1y, e2x, e2y = edges_of(torch.cat([unknowns, self.anchored]), self.rows, self.edges)
-        return self.target.m * (e1x * e2y - e1y * e2x)
+        coordinates = torch.cat([unknowns, self.anchored])
+        parts = []
+        for piece in self.pieces:
+            e1, e2 = piece.edges_at(coordinates).unbind(0)
+            parts.append(piece.target.m * (e1[0] * e2[1] - e1[1] * e2[0]))
+        return torch.cat([coordinates[:0], *parts])
 
     def select(self, keep: Tensor) -> "MeshObjective":
         blocks = counts_from_offsets(self.block_offsets)
