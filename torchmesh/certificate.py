@@ -34,13 +34,13 @@ def same_frame(before: MeshBatch, after: MeshBatch, stays: Tensor, vertex_map: "
     if before.triangles is after.triangles:
         return same
     count = len(before.points)
-    twin = connectivity.twins(after.triangles)
-    old = connectivity.boundary_edges(before.triangles, connectivity.twins(before.triangles))
+    old_twin, twin = connectivity.twins(before.triangles), connectivity.twins(after.triangles)
+    old = connectivity.boundary_edges(before.triangles, old_twin)
     new = _whole(connectivity.boundary_edges(after.triangles, twin), old_row)
     keys = [rim[:, 0] * count + rim[:, 1] for rim in (old, new)]
     fail(old[~torch.isin(*keys), 0])
     fail(new[~torch.isin(*keys[::-1]), 0].clamp_min(0))
-    same &= _euler_numbers(before) == _euler_numbers(after)
+    same &= _euler_numbers(before, old_twin) == _euler_numbers(after, twin)
     wanted = before.constrained_edges
     if len(wanted):
         present, size = connectivity.edges(after.triangles, twin), len(after.points)
@@ -71,10 +71,8 @@ def _whole(edges: Tensor, old_row: Tensor) -> Tensor:
     return torch.stack([old_row[start], old_row[here]], 1)
 
 
-def _euler_numbers(batch: MeshBatch) -> Tensor:
-    """(B,) V - E + F of each mesh, over the vertices that have a triangle."""
+def _euler_numbers(batch: MeshBatch, twin: Tensor) -> Tensor:
+    """(B,) V - E + F of each mesh, over the vertices that have a triangle: 2 E is 3 F and the boundary's edges."""
     used = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) > 0
-    edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
-    owner = torch.bucketize(edges[:, 0].contiguous(), batch.point_offsets[1:], right=True)
-    edge_count = torch.bincount(owner, minlength=len(batch))
-    return segment_count(used, batch.point_offsets) - edge_count + counts_from_offsets(batch.triangle_offsets)
+    rim = segment_count(twin < 0, 3 * batch.triangle_offsets)
+    return segment_count(used, batch.point_offsets) - (counts_from_offsets(batch.triangle_offsets) + rim) // 2
