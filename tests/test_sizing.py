@@ -10,7 +10,9 @@ import torch
 import torchmesh as tm
 from torchmesh import MeshBatch
 from torchmesh.segments import spread
-from torchmesh.sizing import carried, edge_lengths, size_conformity, size_field
+from torchmesh.sizing import carried, continue_inwards, edge_lengths, size_conformity, size_field
+from torchmesh.stiffness import InnerStiffness, cotangent_weights
+from torchmesh.triangle import corners
 
 
 @pytest.mark.parametrize("sizes", ["boundary", "keep", "uniform"])
@@ -46,6 +48,42 @@ def test_the_number_of_triangles_is_kept_as_far_as_it_may_be():
     finest = size_field(mesh, "boundary", triangles=torch.tensor([1e9]))
     even_finer = size_field(mesh, "boundary", triangles=torch.tensor([1e12]))
     assert torch.equal(finest, even_finer)
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-8])
+def test_conjugate_gradients_come_as_near_to_the_exact_sizes_as_they_are_asked_to(accuracy):
+    parts = [meshes.jittered(9, 8, 0.2, 3), meshes.ring(), meshes.delaunay(40), meshes.equilateral()]
+    batch = tm.join(parts)
+    exact, near = size_field(batch), size_field(batch, accuracy=accuracy)
+    error = (near / exact - 1).abs().max()
+    assert 0 < float(error) < 3 * accuracy
+    known = continue_inwards(batch).known
+    assert torch.equal(near[known], exact[known])
+    alone = torch.cat([size_field(part, accuracy=accuracy) for part in parts])
+    assert torch.equal(alone, near)
+
+
+def test_products_with_the_inner_stiffness_are_those_of_the_assembled_matrix():
+    mesh = meshes.jittered(6, 5, 0.2, 1)
+    weights = cotangent_weights(corners(mesh.points, mesh.triangles))
+    twin = tm.connectivity.twins(mesh.triangles)
+    known = mesh.fixed.clone()
+    known[(~known).nonzero()[3]] = True
+    stiffness = InnerStiffness.of(mesh.triangles, twin, weights, known)
+    dense = torch.zeros(len(known), len(known), dtype=torch.float64)
+    for row, *by_corner in zip(mesh.triangles.tolist(), *(w.tolist() for w in weights), strict=True):
+        for corner, weight in enumerate(by_corner):
+            i, j = row[(corner + 1) % 3], row[(corner + 2) % 3]
+            dense[i, i] += weight
+            dense[j, j] += weight
+            dense[i, j] -= weight
+            dense[j, i] -= weight
+    values = torch.randn(len(known), dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    inner = dense[~known]
+    assert stiffness.size == len(inner)
+    assert torch.allclose(stiffness @ values[~known], inner[:, ~known] @ values[~known], rtol=1e-12, atol=1e-12)
+    assert torch.allclose(stiffness.diagonal(), inner[:, ~known].diagonal(), rtol=1e-12)
+    assert torch.allclose(stiffness.load(values), -inner[:, known] @ values[known], rtol=1e-12, atol=1e-12)
 
 
 def test_boundary_sizes_are_the_mean_of_the_two_edges_there():

@@ -3,12 +3,12 @@
            s                       s
          / | \\                   / | \\
        /   |   \\               /   |   \\
-     .--- u --h-> w  collapse .----- w        u must be free; w stays where it is, or, if it is
-       \\   |   /              \\   |   /       free too, may go to the middle of the edge
+     .--- u --h-> w  collapse .----- w        u must be free; w stays where it is
+       \\   |   /              \\   |   /
          \\ | /                  \\ | /
            r                       r
 
-A round does the collapses that rank first at every vertex round them, so no two share a triangle.
+No two vertices that go in a round are neighbours, so no two collapses share a triangle.
 """
 
 from collections.abc import Callable
@@ -18,102 +18,89 @@ import torch
 from torch import Tensor
 
 from .connectivity import next_in_triangle, previous_in_triangle
-from .editing import Editable, all_upright, fan_quality, independent, length, neighbours, within_budget
+from .editing import Editable, all_upright, fan_quality, independent, length, within_budget
 
-
-class Collapses(NamedTuple):
-    """N collapses in question: remove the tail of h (N,), with its head then at x, y (N,).
-
-    moves  (N,) bool, the head goes elsewhere (else x, y is where it is)
-    """
-
-    h: Tensor
-    x: Tensor
-    y: Tensor
-    moves: Tensor
+# Goes at choosing what to collapse in a round: each leaves about a third of what could still join.
+_GOES = 3
 
 
 class Outcome(NamedTuple):
-    """What collapses would do.
+    """What N collapses would do.
 
     before   (N,) worst inverse mean ratio of the triangles they touch
-    after    (N,) that afterwards; infinite where a triangle inverts or the link condition fails
+    after    (N,) that afterwards, by floating point; infinite where a triangle inverts or the link condition fails
     longest  (N,) the longest new edge, relative to the size wanted
-    claims   (N, K) the vertices no other collapse of the round may remove or move, -1 as padding
-    centres  (N, 2) those that this one does, -1 as padding
+    a, b     (N, K) the triangles p a b round the vertex p that goes
+    kept     (N, K) bool, the triangle stays
+    claims   (N, K + 1) the vertex that goes and its neighbours, -1 as padding
     """
 
     before: Tensor
     after: Tensor
     longest: Tensor
+    a: Tensor
+    b: Tensor
+    kept: Tensor
     claims: Tensor
-    centres: Tensor
+
+    def select(self, rows: Tensor) -> "Outcome":
+        return Outcome(*(v[rows] for v in self))
 
 
-def proposals(e: Editable, edge: Tensor, middles: bool) -> tuple[Collapses, Tensor]:
-    """All collapses of the `edge`s (M,): each free end onto the other; both, if free, onto the middle.
+def proposals(e: Editable, edge: Tensor) -> tuple[Tensor, Tensor]:
+    """All collapses of the `edge`s (M,), each free end onto the other: half-edges (N,), whose tails would go.
 
     And the row of `edge` that each is of.
     """
     owner = (e.twin[edge] >= 0).nonzero().squeeze(1)
     here, there = edge[owner], e.twin[edge[owner]]
     loose, also = ~e.fixed[e.vertex[here]], ~e.fixed[e.vertex[there]]
-    both = loose & also if middles else torch.zeros_like(loose)
-    mx, my = e.middle(here[both])
-    h = torch.cat([here[loose], there[also], here[both]])
-    head = e.head(h)
-    x, y, moves = e.x[head], e.y[head], torch.zeros(len(h), dtype=torch.bool, device=h.device)
-    middle = slice(len(h) - len(mx), None)
-    x[middle], y[middle], moves[middle] = mx, my, True
-    return Collapses(h, x, y, moves), torch.cat([owner[loose], owner[also], owner[both]])
+    return torch.cat([here[loose], there[also]]), torch.cat([owner[loose], owner[also]])
 
 
-def evaluate(e: Editable, c: Collapses, degree: Tensor) -> Outcome:
-    """What each collapse would do, by floating point; degree (V,) from `e.degree()`."""
-    u, w = e.vertex[c.h], e.head(c.h)
-    round_u, closed_u = neighbours(e.vertex, e.twin, c.h)
-    round_w, closed_w = neighbours(e.vertex, e.twin, e.twin[c.h])
-    count_u, count_w = (round_u >= 0).sum(1), (round_w >= 0).sum(1)
-    # A vertex where several fans meet has more triangles than the walk has seen.
-    whole = closed_u & (count_u == degree[u]) & (count_w - (~closed_w).long() == degree[w]) & (count_u > 2)
-    common = ((round_u[:, :, None] == round_w[:, None, :]) & (round_u >= 0)[:, :, None]).sum((1, 2))
-    legal = whole & (common == 2) & (closed_w | ~c.moves)
-    ring = _Fan.of(e, round_u, count_u)
-    there = there_u = there_w = None
+def evaluate(e: Editable, h: Tensor) -> Outcome:
+    """What the collapse of each half-edge h (N,) would do."""
+    u, w = e.vertex[h], e.head(h)
+    out, beside = e.around(torch.cat([u, w])).chunk(2)
+    there = out >= 0
+    a, b = e.head(out), e.vertex[previous_in_triangle(out)]
+    kept = there & (a != w[:, None]) & (b != w[:, None])
+    rim = ((e.twin < 0) & (e.vertex >= 0)).nonzero().squeeze(1)
+    fans, last = torch.bincount(e.vertex[rim], minlength=len(e.x)), torch.full_like(e.mesh, -1)
+    # On the boundary one neighbour is the head of no half-edge.
+    last[e.head(rim)] = e.vertex[rim]
+    neighbours = torch.cat([torch.where(beside >= 0, e.head(beside), -1), last[w][:, None]], 1)
+    common = ((a[:, :, None] == neighbours[:, None]) & there[:, :, None]).sum((1, 2))
+    # A boundary vertex where several fans meet stays as it is.
+    legal = (fans[u] == 0) & (fans[w] < 2) & (there.sum(1) > 2) & (common == 2)
+    ux, uy, wx, wy = (v[:, None] for v in (e.x[u], e.y[u], e.x[w], e.y[w]))
+    ax, ay, bx, by = e.x[a], e.y[a], e.x[b], e.y[b]
+    now = then = halfway = None
     if e.metric is not None:
-        there_u, there_w = e.metric[u], e.metric[w]
-        there = torch.where(c.moves[:, None], 0.5 * (there_u + there_w), there_w)
-    after, before = ring.worst(c.x, c.y, True, there), ring.worst(e.x[u], e.y[u], False, there_u)
-    longest = ring.longest(c.x, c.y, e.size[w], there)
-    claims = torch.cat([u[:, None], round_u], 1)
-    moving = c.moves.nonzero().squeeze(1)
-    if len(moving):
-        other = _Fan.of(e, round_w[moving], count_w[moving])
-        there, there_w = (None if m is None else m[moving] for m in (there, there_w))
-        far = other.longest(c.x[moving], c.y[moving], e.size[w[moving]], there)
-        after[moving] = torch.maximum(after[moving], other.worst(c.x[moving], c.y[moving], True, there))
-        before[moving] = torch.maximum(before[moving], other.worst(e.x[w[moving]], e.y[w[moving]], False, there_w))
-        longest[moving] = torch.maximum(longest[moving], far)
-        claims = torch.cat([claims, torch.where(c.moves[:, None], round_w, -1)], 1)
-    centres = torch.stack([u, torch.where(c.moves, w, -1)], 1)
-    return Outcome(before, torch.where(legal, after, torch.inf), longest, claims, centres)
+        at_u, at_w, at_a = e.metric[u][:, None], e.metric[w][:, None], e.metric[a]
+        now, then, halfway = at_u + at_a + e.metric[b], at_w + at_a + e.metric[b], 0.5 * (at_w + at_a)
+    before, after = fan_quality(ux, uy, ax, ay, bx, by, now), fan_quality(wx, wy, ax, ay, bx, by, then)
+    relative = 2 * length(ax - wx, ay - wy, halfway) / (e.size[w][:, None] + e.size[a])
+    return Outcome(
+        torch.where(there, before, 0.0).amax(1),
+        torch.where(legal, torch.where(kept, after, 0.0).amax(1), torch.inf),
+        torch.where(there, relative, 0.0).amax(1),
+        a,
+        b,
+        kept,
+        torch.cat([u[:, None], torch.where(there, a, -1)], 1),
+    )
 
 
-def still_upright(e: Editable, c: Collapses) -> Tensor:
-    """(N,) bool by exact signs: are all the triangles that these collapses leave upright?"""
-    good = torch.ones(len(c.h), dtype=torch.bool, device=c.h.device)
-    sides = [(c.h, torch.ones_like(good)), (e.twin[c.h], c.moves)]
-    for start, asked in sides:
-        rows = asked.nonzero().squeeze(1)
-        ring, _ = neighbours(e.vertex, e.twin, start[rows])
-        fan = _Fan.of(e, ring, (ring >= 0).sum(1))
-        good[rows] &= all_upright(e, c.x[rows], c.y[rows], fan.a, fan.b, fan.kept)
-    return good
+def still_upright(e: Editable, h: Tensor, outcome: Outcome) -> Tensor:
+    """(N,) bool by exact signs: are all the triangles that the collapses of h (N,) leave upright?"""
+    w = e.head(h)
+    return all_upright(e, e.x[w], e.y[w], outcome.a, outcome.b, outcome.kept)
 
 
-def collapse(e: Editable, c: Collapses) -> None:
-    """Do these collapses, no two of which share a triangle."""
-    h, g = c.h, e.twin[c.h]
+def collapse(e: Editable, h: Tensor) -> None:
+    """Collapse the half-edges h (N,), no two of which share a triangle: their tails go."""
+    g = e.twin[h]
     u, w = e.vertex[h], e.vertex[g]
     h1, h2, g1, g2 = next_in_triangle(h), previous_in_triangle(h), next_in_triangle(g), previous_in_triangle(g)
     new = torch.arange(len(e.x), device=h.device)
@@ -133,16 +120,12 @@ def collapse(e: Editable, c: Collapses) -> None:
     e.vertex[dead] = e.twin[dead] = -1
     e.locked[dead] = False
     e.alive[u] = False
-    e.size[w] = torch.where(c.moves, 0.5 * (e.size[u] + e.size[w]), e.size[w])
-    if e.metric is not None:
-        e.metric[w] = torch.where(c.moves[:, None], 0.5 * (e.metric[u] + e.metric[w]), e.metric[w])
-    e.x[w], e.y[w] = c.x, c.y
 
 
 # How much an edge (half-edges (M,)) wants to go: (M,) numbers, infinite if not at all, lowest first.
 Wish = Callable[[Tensor], Tensor]
 # Of outcomes, which to accept, (N,) bool.
-Judge = Callable[[Collapses, Outcome], Tensor]
+Judge = Callable[[Outcome], Tensor]
 
 
 def collapse_rounds(
@@ -150,56 +133,67 @@ def collapse_rounds(
     wish: Wish,
     judge: Judge,
     *,
-    middles: bool = False,
     budget: Tensor | None = None,
+    worth: float = 0.0,
     max_rounds: int = 1000,
 ) -> Tensor:
     """Collapse what is wished for and judged good until nothing is left; the number in each mesh (B,).
 
     A round asks, at every vertex, about the edge that wants most to go.
 
-    middles  may both ends go to the middle of an edge, where both are free?
-    budget   (B,) int64, how many collapses each mesh may have; None: any number
+    budget  (B,) int64, how many collapses each mesh may have; None: any number
+    worth   a mesh is done after a round that did less than this part of all its collapses
     """
     total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
+    going = torch.ones_like(total, dtype=torch.bool) if budget is None else budget > 0
     # Half-edges (the lower of each edge) that were refused, and round which nothing has changed since.
     asleep = torch.zeros(len(e.twin), dtype=torch.bool, device=e.x.device)
     for _ in range(max_rounds):
         edge = e.edges()
-        edge = edge[~asleep[edge]]
+        edge = edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]]
         want = wish(edge)
-        if budget is not None:
-            want = torch.where((total < budget)[e.mesh[e.vertex[edge]]], want, torch.inf)
         asked = want.isfinite().nonzero().squeeze(1)
         edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
         first = _first_at_an_end(e, edge, key)
         edge, key = edge[first], key[first]
         if not len(edge):
             break
-        c, owner = proposals(e, edge, middles)
-        outcome = evaluate(e, c, e.degree())
-        rows = (judge(c, outcome) & outcome.after.isfinite()).nonzero().squeeze(1)
-        rows = rows[still_upright(e, _rows(c, rows))]
+        h, owner = proposals(e, edge)
+        outcome = evaluate(e, h)
+        asleep[edge] = True
+        rows = (judge(outcome) & outcome.after.isfinite()).nonzero().squeeze(1)
         rows = rows[_best_of_each(owner[rows], outcome.after[rows], len(edge))]
-        chosen = rows[independent(outcome.centres[rows], outcome.claims[rows], key[owner[rows]], len(e.x))]
+        asleep[edge[owner[rows]]] = False
+        rows = rows[_apart(e.vertex[h[rows]], outcome.claims[rows], key[owner[rows]], len(e.x))]
+        upright = still_upright(e, h[rows], outcome.select(rows))
+        asleep[edge[owner[rows[~upright]]]] = True
+        rows = rows[upright]
         if budget is not None:
-            owners = e.mesh[e.vertex[c.h[chosen]]]
-            chosen = chosen[within_budget(owners, key[owner[chosen]], budget - total)]
-        refused = torch.ones(len(edge), dtype=torch.bool, device=edge.device)
-        refused[owner[rows]] = False
-        asleep[edge[refused]] = True
+            rows = rows[within_budget(e.mesh[e.vertex[h[rows]]], key[owner[rows]], budget - total)]
         touched = torch.zeros_like(e.alive)
-        claims = outcome.claims[chosen]
+        claims = outcome.claims[rows]
         touched[claims[claims >= 0]] = True
-        done = _rows(c, chosen)
-        total += e.per_mesh(done.h)
-        collapse(e, done)
+        done = e.per_mesh(h[rows])
+        collapse(e, h[rows])
         asleep &= ~touched[e.vertex.clamp_min(0)] & ~touched[e.vertex[e.twin]]
+        total += done
+        going = going & (done >= worth * total)
+        if budget is not None:
+            going &= total < budget
     return total
 
 
-def _rows(c: Collapses, rows: Tensor) -> Collapses:
-    return Collapses(*(v[rows] for v in c))
+def _apart(tail: Tensor, claims: Tensor, key: Tensor, count: int) -> Tensor:
+    """(M,) rows of collapses of which none takes a vertex (N,) that another claims (N, K), those of low key first."""
+    rows, chosen = torch.arange(len(tail), device=tail.device), []
+    # The last place answers for -1.
+    taken = torch.zeros(count + 1, dtype=torch.bool, device=tail.device)
+    for _ in range(_GOES):
+        first = independent(tail[rows][:, None], claims[rows], key[rows], count)
+        chosen.append(rows[first])
+        taken[claims[rows[first]]] = True
+        rows = rows[~taken[tail[rows]]]
+    return torch.cat(chosen)
 
 
 def _first_at_an_end(e: Editable, edge: Tensor, key: Tensor) -> Tensor:
@@ -218,55 +212,3 @@ def _best_of_each(owner: Tensor, value: Tensor, count: int) -> Tensor:
     first.scatter_reduce_(0, owner[level], level, "amin")
     rows = torch.arange(len(owner), device=owner.device)
     return first[owner] == rows
-
-
-class _Fan(NamedTuple):
-    """The triangles p a b round N vertices p, as (N, K); two of them (the first and the last) may go.
-
-    there  (N, K) bool, the triangle is one;  kept  likewise, and it stays
-    """
-
-    x: Tensor
-    y: Tensor
-    size: Tensor
-    metric: Tensor | None
-    a: Tensor
-    b: Tensor
-    there: Tensor
-    kept: Tensor
-
-    @classmethod
-    def of(cls, e: Editable, ring: Tensor, count: Tensor) -> "_Fan":
-        column = torch.arange(ring.shape[1], device=ring.device)[None]
-        there = column < count[:, None]
-        last = column == count[:, None] - 1
-        b = torch.where(last, ring[:, :1], ring.roll(-1, 1))
-        return cls(e.x, e.y, e.size, e.metric, ring.clamp_min(0), b.clamp_min(0), there, there & ~last & (column > 0))
-
-    def worst(self, px: Tensor, py: Tensor, kept: bool, there: Tensor | None) -> Tensor:
-        """(N,) the largest inverse mean ratio, of those `kept` or of all, with the vertex at px, py (N,).
-
-        there  (N, 3) the metric at that place; None: that of the plane
-        """
-        if not self.a.shape[1]:
-            return torch.zeros_like(px)
-        metric = None
-        if self.metric is not None and there is not None:
-            metric = there[:, None] + self.metric[self.a] + self.metric[self.b]
-        ratio = fan_quality(
-            px[:, None], py[:, None], self.x[self.a], self.y[self.a], self.x[self.b], self.y[self.b], metric
-        )
-        return torch.where(self.kept if kept else self.there, ratio, 0.0).amax(1)
-
-    def longest(self, px: Tensor, py: Tensor, size: Tensor, there: Tensor | None) -> Tensor:
-        """(N,) the longest edge from px, py to the ring but for its first vertex, relative to the sizes wanted."""
-        dx, dy = self.x[self.a] - px[:, None], self.y[self.a] - py[:, None]
-        metric = None
-        if self.metric is not None and there is not None:
-            metric = 0.5 * (there[:, None] + self.metric[self.a])
-        relative = 2 * length(dx, dy, metric) / (size[:, None] + self.size[self.a])
-        if not self.a.shape[1]:
-            return torch.zeros_like(px)
-        away = self.there.clone()
-        away[:, :1] = False
-        return torch.where(away, relative, 0.0).amax(1)

@@ -98,6 +98,18 @@ class Editable:
         """(B,) how many of the half-edges h each mesh has."""
         return torch.bincount(self.mesh[self.vertex[h]], minlength=self.meshes)
 
+    def around(self, v: Tensor) -> Tensor:
+        """(N, K) the half-edges from each of the vertices v (N,), ascending, -1 as padding."""
+        # The last place answers for dead triangles.
+        asked = torch.zeros(len(self.x) + 1, dtype=torch.bool, device=v.device)
+        asked[v] = True
+        h = asked[self.vertex].nonzero().squeeze(1)
+        h = h[self.vertex[h].argsort(stable=True)]
+        count = torch.bincount(self.vertex[h], minlength=len(self.x))
+        column = torch.arange(max(1, int(count.max())), device=v.device)
+        place = (count.cumsum(0) - count)[v][:, None] + column
+        return torch.where(column < count[v][:, None], h[place.clamp_max(len(h) - 1)], -1)
+
     def rounded(self, values: Tensor) -> Tensor:
         """Places as the caller can store them."""
         return values.to(self.dtype).to(values.dtype)

@@ -150,9 +150,9 @@ class Gathering(Relocation):
         better = torch.zeros_like(going)
         for _ in range(_PASSES):
             before = quality(self.batch)
-            self.size = super(Relocation, self)._sizes(going)
+            self.size = self._sizes(going)
             given = self._state()
-            self.run(going)
+            self._remesh(going)
             after = quality(self.batch)
             good = (after.mean < before.mean) & (after.max <= _SLACK * before.max) & (after.inverted == 0)
             self._restore(going & ~good, given)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from .anisotropy import metric_conformity, metric_quality, metric_size_field, unit_metric
-from .collapsing import Collapses, Outcome, collapse_rounds
+from .collapsing import Outcome, collapse_rounds
 from .collapsing import Wish as CollapseWish
 from .connectivity import twins
 from .delaunay import FlipOptions, constrained_half_edges, flip_to_delaunay
@@ -28,8 +28,6 @@ from .splitting import Wish as SplitWish
 from .splitting import split_rounds, worst_after
 from .targets import MetricField
 
-# A mesh is done when fewer than one edge is split or collapsed for so many triangles.
-_FEW = 500
 # A lower mean is worth a maximum that is this much higher: it hangs on one triangle.
 _SLACK = 1.02
 # The last smoothing brings maxima below its ceiling that are this much above it.
@@ -70,12 +68,18 @@ def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[Mesh
 class Remeshing:
     """A batch on its way, with the names of its vertices and the sizes wanted at them.
 
-    Above the mean inverse mean ratio `rough` a mesh may be stuck in rows, and is shaken up: its edges
-    shorter and longer than these parts of their size go, once for each pair of `shakes`.
+    rough     above this mean inverse mean ratio a mesh may be stuck in rows, and is shaken up:
+    shakes    its edges shorter and longer than these parts of their size go, once for each pair
+    accuracy  with which sizes are continued inwards, as in `size_field`
+    few       a mesh is done when fewer than one edge is split or collapsed for so many triangles
+    rest      the smoothing between rounds
     """
 
     rough = 1.025
     shakes: tuple[tuple[float, float], ...] = ((0.75, 1.5), (0.8, 1.4), (1.0, 1.2))
+    accuracy: float | None = None
+    few = 500
+    rest = SmoothOptions(max_iterations=15, energy_tolerance=1e-3, single=True)
 
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
         self.batch, self.options = batch, options
@@ -93,6 +97,9 @@ class Remeshing:
     def run(self, going: Tensor) -> None:
         """Remesh the meshes `going` (B,) bool, which must be valid."""
         self.size = self._sizes(going)
+        self._remesh(going)
+
+    def _remesh(self, going: Tensor) -> None:
         self._rounds(going)
         # Rows of right-angled triangles fit their sizes, and no single split or collapse betters them.
         ceiling = _OVER_CEILING * (self.options.smooth.ceiling or 1.0)
@@ -105,7 +112,7 @@ class Remeshing:
             self.longest = 2 * self.options.split_above
             self._cut(rough, *shake)
             self.longest = self.options.split_above
-            self._settle(rough)
+            self._settle(rough, self.rest)
             self._rounds(rough)
             after = self._quality()
             worse = (after.mean >= before.mean) | (after.max > before.max.clamp_min(ceiling))
@@ -126,10 +133,10 @@ class Remeshing:
             if not bool(going.any()):
                 break
             changed = self._cut(going, self.options.collapse_below, self.options.split_above)
-            self._settle(going)
+            self._settle(going, self.rest)
             self.rounds[going] += 1
             now = self._quality()
-            few = _FEW * changed <= counts_from_offsets(self.batch.triangle_offsets)
+            few = self.few * changed <= counts_from_offsets(self.batch.triangle_offsets)
             stuck = (before.mean - now.mean < 1e-4) & (before.max - now.max < 1e-3 * now.max)
             going = going & ~few & ~(stuck & (turn > 0))
             before = now
@@ -167,7 +174,7 @@ class Remeshing:
         before = self._quality()
         self.size = self._sizes(going)
         given = self._state()
-        self.run(going)
+        self._remesh(going)
         after = self._quality()
         if isinstance(self.options.sizes, str) and self.options.sizes == "boundary":
             ceiling = self.options.smooth.ceiling or 1.0
@@ -197,7 +204,7 @@ class Remeshing:
     def _size_field(self, part: MeshBatch, sizes: Sizes, rows: Tensor, going: Tensor) -> Tensor:
         """(V',) the sizes of `part`, the meshes `going` (B,), whose vertices are the `rows` (V,) bool."""
         if self.metric is None:
-            return size_field(part, sizes, triangles=self.wanted[going])
+            return size_field(part, sizes, triangles=self.wanted[going], accuracy=self.accuracy)
         return metric_size_field(part, sizes, self.metric[rows], self.wanted[going])
 
     def _sizes(self, going: Tensor) -> Tensor:
@@ -249,17 +256,15 @@ class Remeshing:
 
         return wish
 
-    def _harmless(self, c: Collapses, o: Outcome) -> Tensor:
+    def _harmless(self, o: Outcome) -> Tensor:
         return (o.after <= o.before.clamp_min(self.options.worst)) & (o.longest < self.longest)
 
-    def _settle(self, going: Tensor, iterations: int = 15) -> Tensor:
+    def _settle(self, going: Tensor, options: SmoothOptions) -> Tensor:
         """Flip, smooth, and read the sizes anew where the vertices are then; the flips of each mesh (B,)."""
         part = self.batch.select(going)
         metric = self._metric_of(spread(going, self.batch.point_offsets))
         part, info = flip_to_delaunay(part, FlipOptions(rule="shape"), metric=metric)
-        moved, _ = smooth(
-            part, SmoothOptions(max_iterations=iterations, energy_tolerance=1e-3, targets=metric, single=True)
-        )
+        moved, _ = smooth(part, replace(options, targets=metric))
         self._renew(going, part, moved)
         flips = torch.zeros_like(self.flips)
         flips[going] = info.flips
@@ -285,7 +290,7 @@ class Remeshing:
         for _ in range(5):
             if not bool(at.any()):
                 break
-            at = at & (self._settle(at, 20) > 0)
+            at = at & (self._settle(at, replace(self.rest, max_iterations=20)) > 0)
         if bool(going.any()):
             part = self.batch.select(going)
             metric = self._metric_of(spread(going, self.batch.point_offsets))

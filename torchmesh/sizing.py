@@ -14,9 +14,10 @@ from torch import Tensor
 
 from . import connectivity
 from .errors import InvalidMeshError
+from .hessian import solve
 from .mesh import MeshBatch, vertex_mesh
-from .segments import counts_from_offsets, segment_max, segment_sum, spread
-from .stiffness import cotangent_weights, harmonic_extension
+from .segments import counts_from_offsets, offsets_from_counts, segment_count, segment_max, segment_sum, spread
+from .stiffness import InnerStiffness, cotangent_weights, harmonic_extension
 from .triangle import SQRT3, corners, signed_area
 
 # A name, (V,) one length a vertex, or a function of points (N, 2) that returns (N,).
@@ -32,7 +33,9 @@ _FINER, _COARSER = 0.25, 1.0
 _BISECTIONS = 30
 
 
-def size_field(batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor | None = None) -> Tensor:
+def size_field(
+    batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor | None = None, accuracy: float | None = None
+) -> Tensor:
     """(V,) float64 the edge length wanted at each vertex.
 
     sizes      "boundary": the boundary and constrained edges' lengths, continued into the interior so
@@ -40,6 +43,8 @@ def size_field(batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor
                edges now at each vertex; "uniform": one length a mesh, by its area and number of
                triangles; a tensor (V,); or a function that takes points (N, 2) and returns (N,)
     triangles  (B,) how many triangles "boundary" and "uniform" aim at; None: as many as there are
+    accuracy   of "boundary": the part of the residuals that may be left of its linear systems, which are then
+               solved by conjugate gradients; None: they are solved exactly, by scipy, which must be loaded
 
     Raises ValueError for an unknown name, InvalidMeshError for sizes that are not (V,) positive
     finite numbers, naming the vertex.
@@ -48,7 +53,7 @@ def size_field(batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor
     if isinstance(sizes, str):
         wanted = counts_from_offsets(batch.triangle_offsets) if triangles is None else triangles
         if sizes == "boundary":
-            return boundary_sizes(batch, wanted)
+            return boundary_sizes(batch, wanted, accuracy)
         if sizes == "uniform":
             return uniform_sizes(batch, wanted)
         edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
@@ -78,7 +83,7 @@ def check_sizes(sizes: Sizes) -> None:
         raise ValueError(f"sizes must be one of {list(NAMES)}, a tensor (V,) or a function, not {sizes!r}")
 
 
-def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
+def boundary_sizes(batch: MeshBatch, triangles: Tensor, accuracy: float | None = None) -> Tensor:
     """(V,) the sizes of the boundary, continued inwards: log h = u + c v.
 
     u is harmonic and equal to the logarithm of the mean length of the boundary and constrained
@@ -87,9 +92,9 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     Bunin, A continuum theory for unstructured mesh generation in two dimensions, Computer Aided
     Geometric Design 25, 2008).  v bends it evenly, -laplace v = exp(-2 u), 0 at the boundary; and c
     is such that the triangles number `triangles` (B,), as far as c is between -0.25 and 1 over the
-    maximum of v: refining and coarsening beyond that spoils the shapes.
+    maximum of v: refining and coarsening beyond that spoils the shapes.  `accuracy` as in `size_field`.
     """
-    inward = continue_inwards(batch)
+    inward = continue_inwards(batch, accuracy)
     v = inward.bend
     peak = segment_max(v, batch.point_offsets).clamp_min(1e-300)
     v = v / spread(peak, batch.point_offsets)
@@ -125,33 +130,59 @@ class Inwards:
     bend: Tensor
 
 
-def continue_inwards(batch: MeshBatch) -> Inwards:
-    """Read the sizes at the boundary and constrained edges, and continue them."""
+def continue_inwards(batch: MeshBatch, accuracy: float | None = None) -> Inwards:
+    """Read the sizes at the boundary and constrained edges, and continue them; `accuracy` as in `size_field`."""
     twin = connectivity.twins(batch.triangles)
     edges = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
     length, known = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)
     t = corners(batch.points.to(torch.float64), batch.triangles)
     upright = signed_area(t) > 0
     at_a, at_b, at_c = (torch.where(upright, w, 1.0).clamp(_LEAST_WEIGHT, _MOST_WEIGHT) for w in cotangent_weights(t))
-    weights = at_a, at_b, at_c
     idle = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0
     known = known | idle
     offsets = batch.point_offsets
-    length = length.clamp_min(1e-300)
-    u = harmonic_extension(batch.triangles, weights, known, log(length)[:, None], offsets)[:, 0]
-    # Sizes relative to each mesh's largest, so that no square leaves the range of numbers.
-    top = segment_max(torch.where(idle, -torch.inf, u), offsets)
-    relative = u - spread(top, offsets)
+    weights = at_a, at_b, at_c
+    solved = _exactly(batch, weights, known) if accuracy is None else _nearly(batch, twin, weights, known, accuracy)
+    # Sizes relative to each mesh's largest, which is a known one, so that no square leaves the range of numbers.
+    logarithm = log(length.clamp_min(1e-300))
+    top = segment_max(torch.where(known & ~idle, logarithm, -torch.inf), offsets)
+    relative = solved(logarithm - spread(top, offsets), torch.zeros_like(logarithm))
     share = t.ax.new_zeros(len(batch.points))
     area = signed_area(t).abs()
     for corner in batch.triangles.unbind(1):
         share.index_add_(0, corner, area)
-    unit = exp(top)
-    mass = share / 3 / spread(unit, offsets) / spread(unit, offsets)
-    load = torch.where(known, 0.0, mass * exp(-2 * relative))
-    zero = torch.zeros_like(load)[:, None]
-    bend = harmonic_extension(batch.triangles, weights, known, zero, offsets, source=load[:, None])[:, 0]
-    return Inwards(known, length, u, relative, mass, bend)
+    unit = spread(exp(top), offsets)
+    mass = share / 3 / unit / unit
+    bend = solved(torch.zeros_like(mass), mass * exp(-2 * relative))
+    return Inwards(known, length, relative + spread(top, offsets), relative, mass, bend)
+
+
+# Of values (V,), of which the known rows count, and a source (V,), of which the others do: the solution (V,).
+_Solver: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+
+
+def _exactly(batch: MeshBatch, weights: tuple[Tensor, Tensor, Tensor], known: Tensor) -> _Solver:
+    """By factorisation."""
+
+    def solved(values: Tensor, source: Tensor) -> Tensor:
+        columns = values[:, None], batch.point_offsets, source[:, None]
+        return harmonic_extension(batch.triangles, weights, known, *columns)[:, 0]
+
+    return solved
+
+
+def _nearly(
+    batch: MeshBatch, twin: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor, accuracy: float
+) -> _Solver:
+    """By conjugate gradients, until the residuals are down to this part of what they were at first."""
+    stiffness = InnerStiffness.of(batch.triangles, twin, weights, known)
+    offsets = offsets_from_counts(segment_count(~known, batch.point_offsets))
+
+    def solved(values: Tensor, source: Tensor) -> Tensor:
+        right = stiffness.load(values) + source[~known]
+        return values.masked_scatter(~known, solve(stiffness, right, offsets, tolerance=accuracy).x)
+
+    return solved
 
 
 def uniform_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:

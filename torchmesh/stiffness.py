@@ -1,6 +1,7 @@
 """The P1 stiffness matrix of the Laplacian, and harmonic extension with it."""
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -77,3 +78,57 @@ def harmonic_extension(
         )
         solution[unknown[first:last]] = factors.solve(right[first:last])
     return torch.where(known[:, None], values, torch.from_numpy(solution).to(values))
+
+
+@dataclass(frozen=True, eq=False)
+class InnerStiffness:
+    """The block K_II of the unknown vertices, (I, I), known by its products, and K_IB of their known neighbours.
+
+    size  I; unknown vertices are numbered in their order
+    total   (I,) the diagonal
+    inner   rows (N,), columns (N,) and weights (N,) of what lies beside it: minus its entries
+    outer   rows (M,), vertices (M,) and weights (M,): minus the entries of K_IB
+    """
+
+    size: int
+    total: Tensor
+    inner: tuple[Tensor, Tensor, Tensor]
+    outer: tuple[Tensor, Tensor, Tensor]
+
+    @classmethod
+    def of(
+        cls, triangles: Tensor, twin: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor
+    ) -> "InnerStiffness":
+        """Weights as in `harmonic_extension`; every vertex of an edge whose twin (3T,) is -1 must be known."""
+        at_a, at_b, at_c = weights
+        weight = torch.stack([at_c, at_a, at_b], 1).reshape(-1)
+        weight = weight + torch.where(twin >= 0, weight[twin], 0.0)
+        row = (~known).cumsum(0) - 1
+        # Round an unknown vertex the triangles close: each neighbour is the head of one half-edge from it.
+        tail, head = triangles.reshape(-1), triangles.roll(-1, 1).reshape(-1)
+        out = (~known)[tail].nonzero().squeeze(1)
+        tail, head, weight = row[tail[out]], head[out], weight[out]
+        size = int((~known).sum())
+        total = weight.new_zeros(size).index_add_(0, tail, weight)
+        outer = known[head]
+        inner = ~outer
+        return cls(
+            size,
+            total,
+            (tail[inner], row[head[inner]], weight[inner]),
+            (tail[outer], head[outer], weight[outer]),
+        )
+
+    def __matmul__(self, u: Tensor) -> Tensor:
+        """(I,) the product with u (I,)."""
+        row, column, weight = self.inner
+        return (self.total * u).index_add_(0, row, weight * u.index_select(0, column), alpha=-1)
+
+    def diagonal(self) -> Tensor:
+        """(I,) the diagonal."""
+        return self.total
+
+    def load(self, values: Tensor) -> Tensor:
+        """(I,) -K_IB x_B, of the known rows of values (V,)."""
+        row, vertex, weight = self.outer
+        return torch.zeros_like(self.total).index_add_(0, row, weight * values.index_select(0, vertex))

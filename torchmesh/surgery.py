@@ -18,7 +18,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from .collapsing import Collapses, collapse
+from .collapsing import collapse
 from .editing import Editable, independent, living, neighbours
 from .mesh import put
 from .pockets import untangle_batch_by_pockets
@@ -69,8 +69,8 @@ def collapse_round(e: Editable) -> Tensor:
     h, growth, claims = _candidates(e)
     # Nor do two have one head, or two edges could become one: in a tangle no sign forbids that.
     h = h[independent(torch.stack([e.vertex[h], e.head(h)], 1), claims, growth, len(e.x))]
-    count, head = e.per_mesh(h), e.head(h)
-    collapse(e, Collapses(h, e.x[head], e.y[head], torch.zeros_like(h, dtype=torch.bool)))
+    count = e.per_mesh(h)
+    collapse(e, h)
     return count
 
 
