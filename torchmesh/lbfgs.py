@@ -34,8 +34,8 @@ class Objective(Protocol):
         """(N,) the length in which each unknown is measured: the diagonal metric."""
         ...
 
-    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(N,) to energy (B,), gradient (N,), done (B,) bool: the problem needs no further step."""
+    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """(N,) to energy (B,), gradient (N,), done (B,) bool: the problem needs no further step; None: all do."""
         ...
 
     def select(self, keep: Tensor) -> "Objective":
@@ -109,9 +109,10 @@ def minimise(
     iteration = 0
     while True:
         finished = run.close(iteration >= options.max_iterations)
-        everyone = bool(finished.all())
+        many = int((run.blocks * finished).sum())
+        everyone = many == len(run.x) and bool(finished.all())
         # Finished problems leave together, when carrying them costs more than moving the rest.
-        if everyone or 4 * int(run.blocks[finished].sum()) > int(run.blocks.sum()):
+        if everyone or 4 * many > len(run.x):
             leaving = rows[finished]
             report["energy"][leaving] = (run.energy / run.unit)[finished]
             report["gradient"][leaving] = (run.slope / run.unit)[finished]
@@ -139,42 +140,46 @@ class _Run:
 
     x, d, t      unknowns, direction in units of `scale`, step
     past         (K, 2m+1, BLOCK) the last m steps s, their m gradient changes y, the gradient g
-    energy       and descent, its slope along d, and gg = g'g, in units of 1 / unit
-    upper        (B, m, m) s_i'y_j, i <= j, from the oldest pair to the newest; a pair that does not
-                 count, refused or without positive curvature, has a one on the diagonal and zeros else
-    yy           (B, m, m) y_i'y_j, zero for such a pair
-    against      (B, 2m) S'g and Y'g by slots, in which pairs replace one another
-    valid        (B, m) the pairs that count, by age
+    energy       and descent, its slope along d, in units of 1 / unit
+    against      (B, 2m+1) the products of `past` with g: S'g and Y'g by slots, in which pairs replace one another, g'g
+    sy           (B, m) s_i'y_i, from the oldest pair to the newest
+    inverse      (B, m, m) of the upper triangle of s_i'y_j, i <= j, which has `sy` on its diagonal; without its
+                 first row and column it is that of the later pairs
+    yy           (B, m, m) y_i'y_j
     gamma        (B,) s'y / y'y of the newest pair that counts: the scale of the first Hessian
+
+    A pair that does not count, because the step was refused or has no positive curvature, is zero, with a one in `sy`.
     """
 
     def __init__(self, objective: Objective, start: Tensor, options: LbfgsOptions) -> None:
         self.objective, self.options = objective, options
         m = options.history
-        self._index(counts_from_offsets(objective.block_offsets))
         self.scale = objective.scale.reshape(-1, BLOCK)
         self.x = start.reshape(-1, BLOCK).clone()
         energy, gradient, done = objective(start)
         finite = energy.isfinite()
         wide = self.scale.to(torch.float64)
+        self._index(counts_from_offsets(objective.block_offsets))
         self.free = self._sum((wide > 0).to(wide).sum(1)).clamp_min(1)
         g = torch.where(self._to_blocks(finite), gradient.reshape(-1, BLOCK) * wide, 0.0)
         self.unit = _unit((self._sum((g * g).sum(1)) / self.free).sqrt())
+        self.tiny = (options.gradient_tolerance * self.unit).square() * self.free
         self.metric = (wide * self._to_blocks(self.unit)).to(start)
         self.energy = energy.to(torch.float64) * self.unit
         self.past = start.new_zeros((len(self.x), 2 * m + 1, BLOCK))
         self.past[:, 2 * m] = g * self._to_blocks(self.unit)
-        self.against, self.gg = self._products()
-        self.valid = torch.zeros((len(self.blocks), m), dtype=torch.bool, device=start.device)
-        self.upper = torch.diag_embed((~self.valid).to(wide))
-        self.yy = torch.zeros_like(self.upper)
-        self.status = torch.where(done, Status.VALID, Status.RUNNING)
-        self.status = torch.where(finite, self.status, Status.NOT_FINITE)
+        self.against = self._products()
+        self.sy = torch.ones_like(self.against[:, :m])
+        self.inverse = torch.diag_embed(self.sy)
+        self.yy = torch.zeros_like(self.inverse)
+        self.status = torch.where(finite, Status.RUNNING, Status.NOT_FINITE)
+        if done is not None:
+            self.status = self.status.masked_fill(finite & done, Status.VALID)
         self.accepted = torch.zeros_like(self.status)
         self.evaluations = torch.ones_like(self.status)
         self.recent = self.energy.repeat(options.patience, 1)
         self.gamma = self._first_step()
-        self.d, self.descent = self._direction(torch.zeros_like(self.against))
+        self.d, self.descent = self._direction(torch.zeros_like(self.against[:, : 2 * m]))
         self.t = self._whole_step()
 
     @property
@@ -182,13 +187,18 @@ class _Run:
         """(B,) root mean square of the scaled gradient, in units of 1 / unit."""
         return (self.gg / self.free).sqrt()
 
+    @property
+    def gg(self) -> Tensor:
+        """(B,) g'g."""
+        return self.against[:, -1]
+
     def select(self, keep: Tensor) -> None:
         """Go on with some of the problems only."""
         of_blocks = self._to_blocks(keep).squeeze(1)
         self.objective = self.objective.select(keep)
         for name in ("x", "d", "scale", "metric", "past"):
             setattr(self, name, getattr(self, name)[of_blocks])
-        for name in ("energy", "unit", "upper", "yy", "against", "gamma", "valid", "free", "gg", "status",
+        for name in ("energy", "unit", "sy", "inverse", "yy", "against", "gamma", "free", "tiny", "status",
                      "accepted", "evaluations", "t", "descent"):  # fmt: skip
             setattr(self, name, getattr(self, name)[keep])
         self.recent = self.recent[:, keep]
@@ -199,7 +209,7 @@ class _Run:
         settled = (self.accepted >= self.options.patience) & (
             self.recent[0] - self.energy <= self.options.energy_tolerance * self.energy.abs()
         )
-        small = self.gg <= (self.options.gradient_tolerance * self.unit).square() * self.free
+        small = self.gg <= self.tiny
         stuck = self.t < 1e-12
         ended = settled | small | stuck | (self.status != Status.RUNNING)
         if out_of_iterations or bool(ended.any()):
@@ -222,16 +232,17 @@ class _Run:
         energy = energy * self.unit
         gradient = gradient.reshape(-1, BLOCK) * self.metric
         change = energy - self.energy
-        possible = running & energy.isfinite()
-        good = possible & (change <= _SUFFICIENT_DECREASE * self.t * self.descent)
+        slope = self.t * self.descent
+        possible = running & (change > -torch.inf)
+        good = possible & (change <= _SUFFICIENT_DECREASE * slope)
         everyone = bool(good.all())
         if not everyone:
             # So near the minimum that rounding hides the descent, a smaller gradient tells of it.
             flatter = self._sum((gradient * gradient).sum(1).to(energy)) < self.gg
-            good |= possible & (change <= _ROUNDING * energy.abs()) & flatter
+            good |= possible & (change <= _ROUNDING * self.energy.abs()) & flatter
         if everyone:
             self.x = x
-            self._advance(slot, gradient, good)
+            self._advance(slot, gradient, slope, good)
             self.t = self._whole_step()
             self.recent = torch.cat([self.recent[1:], self.energy[None]])
             self.energy = energy
@@ -240,9 +251,9 @@ class _Run:
             stay = (~good).index_select(0, self.owner).nonzero().squeeze(1)
             direction, descent = self.d[stay], self.descent
             x[stay], gradient[stay] = self.x[stay], self.past[stay, 2 * m]
-            self.past[stay, slot] = 0.0
+            move.index_fill_(0, stay, 0.0)
             self.x = x
-            self._advance(slot, gradient, good)
+            self._advance(slot, gradient, slope, good)
             self.d[stay] = direction
             self.descent = torch.where(good, self.descent, descent)
             # The minimum of the parabola through the refused step, within bounds.
@@ -253,79 +264,85 @@ class _Run:
             self.energy = torch.where(good, energy, self.energy)
         self.accepted += good
         self.evaluations += running
-        self.status = self.status.masked_fill(good & done, Status.VALID)
+        if done is not None:
+            self.status = self.status.masked_fill(good & done, Status.VALID)
 
-    def _advance(self, slot: int, gradient: Tensor, good: Tensor) -> None:
+    def _advance(self, slot: int, gradient: Tensor, slope: Tensor, good: Tensor) -> None:
         """Take the gradient at the new point, with its pair in `slot`, and find the direction from there.
 
-        S'g and Y'g are read off the history once; the products with the new pair follow from
-        them and from those at the old point, since y = g_new - g_old.
+        The products with g are read off the history once; the products with the new pair follow from
+        them and from those at the old point, since y = g_new - g_old; slope (B,) is s'g_old.
         """
         m = self.options.history
         torch.sub(gradient, self.past[:, 2 * m], out=self.past[:, m + slot])
         self.past[:, 2 * m] = gradient
-        against, gg = self._products()
-        order = self._slots.roll(-1 - slot)  # from the oldest pair to the newest
-        sy_new, yy_new = (against - self.against).view(-1, 2, m).index_select(2, order).unbind(1)
-        slope = self.t * self.descent
-        sy = against[:, slot] - slope
-        yy = 2 * against[:, m + slot] - gg + self.gg
-        curved = good & (sy > _CURVATURE * slope.abs()) & (yy > 0)
-        self.valid = torch.cat([self.valid[:, 1:], curved[:, None]], 1)
-        self.against, self.gg = against, gg
+        before, self.against = self.against, self._products()
+        change = self.against - before
+        # As |g|^2 - |g - y|^2 is 2 y'g - y'y.
+        sy, yy = self.against[:, slot] - slope, 2 * self.against[:, m + slot] - change[:, -1]
+        curved = good & (sy > -_CURVATURE * slope) & (yy > 0)
         if bool(curved.all()):
             self.gamma = sy / yy
         else:
-            self.gamma = torch.where(curved, sy / torch.where(curved, yy, 1.0), self.gamma)
-            self.gamma = torch.where(self.valid.any(1), self.gamma, self._first_step())
-        counted = (self.valid & curved[:, None]).to(sy)
-        # The oldest pair goes, the newest comes.
-        self.upper, self.yy = self.upper.roll((-1, -1), (1, 2)), self.yy.roll((-1, -1), (1, 2))
-        self.upper[:, -1] = 0.0
-        self.upper[:, :, -1] = sy_new * counted
-        self.upper[:, -1, -1] = torch.where(curved, sy, 1.0)
-        self.yy[:, -1] = self.yy[:, :, -1] = yy_new * counted
-        self.yy[:, -1, -1] = yy * counted[:, -1]
-        self.d, self.descent = self._direction(self._recursion(order, slot))
-        lost = good & ~(self.descent < 0)
-        if bool(lost.any()):
-            self._forget(lost)
-            self.d, self.descent = self._direction(self._recursion(order, slot))
+            sy, yy = torch.where(curved, sy, 1.0), torch.where(curved, yy, 0.0)
+            self._drop(curved, [slot, m + slot])
+            change = torch.where(curved[:, None], change, 0.0)
+            old = (self.yy[:, 1:, 1:].diagonal(dim1=1, dim2=2) > 0).any(1)
+            self.gamma = torch.where(curved, sy / yy, torch.where(old, self.gamma, self._first_step()))
+        self._append(change[:, : 2 * m].view(-1, 2, m).index_select(2, self._by_age[slot]), sy, yy)
+        self.d, self.descent = self._direction(self._recursion(slot))
+        downhill = self.descent < 0
+        if not bool(downhill.all()) and bool((good & ~downhill).any()):
+            self._forget(good & ~downhill)
+            self.d, self.descent = self._direction(self._recursion(slot))
+
+    def _append(self, new: Tensor, sy: Tensor, yy: Tensor) -> None:
+        """The oldest pair goes, the newest comes, with the products of its y and all s and y (B, 2, m), and its own."""
+        column = _batched(self.inverse[:, 1:, 1:], new[:, 0, :-1, None]) / -sy[:, None, None]
+        self.sy = torch.cat([self.sy[:, 1:], sy[:, None]], 1)
+        self.inverse = torch.nn.functional.pad(self.inverse[:, 1:, 1:], (0, 1, 0, 1))
+        self.inverse[:, :-1, -1:] = column
+        self.inverse[:, -1, -1] = 1 / sy
+        self.yy = torch.nn.functional.pad(self.yy[:, 1:, 1:], (0, 1, 0, 1))
+        self.yy[:, -1] = self.yy[:, :, -1] = new[:, 1]
+        self.yy[:, -1, -1] = yy
+
+    def _drop(self, keep: Tensor, slots: list[int]) -> None:
+        """Make the vectors in `slots` zero where `keep` (B,) is false."""
+        gone = (~keep).index_select(0, self.owner).nonzero().squeeze(1)
+        for i in slots:
+            self.past[:, i].index_fill_(0, gone, 0.0)
+            self.against[:, i].masked_fill_(~keep, 0.0)
 
     def _forget(self, lost: Tensor) -> None:
         """Drop the pairs of the problems `lost` (B,) bool."""
+        self._drop(~lost, list(range(2 * self.options.history)))
         self.gamma = torch.where(lost, self._first_step(), self.gamma)
-        self.valid = self.valid & ~lost[:, None]
-        self.upper = torch.where(lost[:, None, None], torch.diag_embed((~self.valid).to(self.upper)), self.upper)
+        self.sy = torch.where(lost[:, None], 1.0, self.sy)
+        self.inverse = torch.where(lost[:, None, None], torch.diag_embed(torch.ones_like(self.sy)), self.inverse)
         self.yy = torch.where(lost[:, None, None], 0.0, self.yy)
 
-    def _recursion(self, order: Tensor, slot: int) -> Tensor:
-        """(B, 2m) the weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1.
+    def _recursion(self, slot: int) -> Tensor:
+        """(B, 2m) the weights of H g = gamma g + S a + Y b by slots; Byrd, Nocedal & Schnabel 1994, equation 3.1.
 
-        order, slot  the slots from the oldest pair to the newest; that of the newest
+        slot  that of the newest pair
         """
         m = self.options.history
-        count = self.valid[:, None].to(self.unit)
-        against = self.against.view(-1, 2, m).index_select(2, order) * count
+        sg, yg = self.against[:, : 2 * m].view(-1, 2, m).index_select(2, self._by_age[slot]).split(1, 1)
         gamma = self.gamma[:, None, None]
-        w = torch.linalg.solve_triangular(self.upper, against[:, 0, :, None], upper=True)
-        middle = self.upper.diagonal(dim1=1, dim2=2)[:, :, None] * w
-        middle += gamma * (self.yy @ w - against[:, 1, :, None])
-        a = torch.linalg.solve_triangular(self.upper.mT, middle, upper=False)
-        both = torch.cat([a, -gamma * w], 2).mT * count
-        return both.index_select(2, self._slots.roll(1 + slot)).flatten(1)
+        w = _batched(sg, self.inverse.mT)
+        a = _batched(self.sy[:, None] * w + gamma * (_batched(w, self.yy) - yg), self.inverse)
+        return torch.cat([a, -gamma * w], 1).index_select(2, self._by_slot[slot]).flatten(1)
 
     def _direction(self, weights: Tensor) -> tuple[Tensor, Tensor]:
         """(K, BLOCK) minus H g, of the `weights` (B, 2m) of the pairs; and (B,) the slope along it."""
-        descent = -(self.gamma * self.gg + (weights * self.against).sum(1))
-        row = -torch.cat([weights, self.gamma[:, None]], 1).to(self.past).index_select(0, self.owner)
-        return _batched(row[:, None], self.past).squeeze(1), descent
+        weights = -torch.cat([weights, self.gamma[:, None]], 1)
+        row = weights.to(self.past).index_select(0, self.owner)
+        return _batched(row[:, None], self.past).squeeze(1), (weights * self.against).sum(1)
 
-    def _products(self) -> tuple[Tensor, Tensor]:
-        """(B, 2m) S'g and Y'g, and (B,) g'g."""
-        m = self.options.history
-        products = self._sum(_batched(self.past[:, 2 * m, None], self.past.mT).squeeze(1).to(self.unit))
-        return products[:, : 2 * m].contiguous(), products[:, 2 * m].contiguous()
+    def _products(self) -> Tensor:
+        """(B, 2m+1) of all that is in `past` with g."""
+        return self._sum(_batched(self.past[:, -1:], self.past.mT).squeeze(1).to(self.unit))
 
     def _first_step(self) -> Tensor:
         """(B,) factor of the gradient for a step without history."""
@@ -334,13 +351,17 @@ class _Run:
     def _whole_step(self) -> Tensor:
         """(B,) one, shortened so that no unknown moves further along d than allowed."""
         longest = torch.segment_reduce(self.d.abs().amax(1), "max", offsets=self.offsets, initial=0.0)
-        return (self.options.largest_step / longest.to(self.unit).clamp_min(1e-300)).clamp_max(1.0)
+        largest = self.options.largest_step
+        return largest / longest.to(self.unit).clamp_min(largest)
 
     def _index(self, blocks: Tensor) -> None:
         self.blocks = blocks
         self.offsets = offsets_from_counts(blocks)
         self.owner = torch.arange(len(blocks), device=blocks.device).repeat_interleave(blocks)
-        self._slots = torch.arange(self.options.history, device=blocks.device)
+        slots = torch.arange(self.options.history, device=blocks.device)
+        # For each slot of the newest pair: the slots from the oldest pair to the newest, and the ages by slots.
+        self._by_age = [slots.roll(-1 - slot) for slot in range(len(slots))]
+        self._by_slot = [slots.roll(1 + slot) for slot in range(len(slots))]
 
     def _to_blocks(self, per_problem: Tensor) -> Tensor:
         return per_problem.index_select(0, self.owner)[:, None]

@@ -166,14 +166,11 @@ class MeshObjective:
     enough: float | None = None
     edges: Tensor | None = None
 
-    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         coordinates = torch.cat([unknowns, self.anchored])
         phi, gradient, det = energy_and_forces(coordinates, self.pieces)
         energy = segment_sum(phi.to(torch.float64), self.triangle_offsets)
-        if self.enough is None:
-            done = torch.zeros_like(energy, dtype=torch.bool)
-        else:
-            done = segment_min(det, self.triangle_offsets) > self.enough
+        done = None if self.enough is None else segment_min(det, self.triangle_offsets) > self.enough
         return energy, gradient[: len(unknowns)], done
 
     @functools.cached_property

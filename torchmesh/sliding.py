@@ -77,7 +77,7 @@ class SlidingObjective:
         scale[self.y_rows] = 0
         return scale
 
-    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         rails = self.rails
         s = rails.moved_to(unknowns[self.x_rows])
         place, tangent, _ = rails.at(s)

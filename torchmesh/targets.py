@@ -382,7 +382,7 @@ class MetricObjective(MeshObjective):
 
     roots: Tensor = None  # type: ignore[assignment]
 
-    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         coordinates = torch.cat([unknowns, self.anchored])
         rows = self.rows.long()
         h11, h12, h22 = self.roots.unbind(1)
@@ -400,7 +400,7 @@ class MetricObjective(MeshObjective):
         for at, part in zip(rows, (-(f1x + f2x), -(f1y + f2y), f1x, f1y, f2x, f2y), strict=True):
             gradient.index_add_(0, at, part)
         energy = torch.segment_reduce(phi, "sum", offsets=self.triangle_offsets, initial=0.0)
-        return energy, gradient[: len(unknowns)], torch.zeros_like(energy, dtype=torch.bool)
+        return energy, gradient[: len(unknowns)], None
 
     def select(self, keep: Tensor) -> "MetricObjective":
         part = super().select(keep)
