@@ -6,7 +6,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh import join, relax
-from torchmesh.unscrambling import _SWEEPS, _Averaging, unscramble
+from torchmesh.unscrambling import _GLANCE, _Averaging, unscramble
 
 
 def inverted(mesh: tm.MeshBatch) -> int:
@@ -53,7 +53,7 @@ def test_enough_sweeps_solve_the_equations():
     torch.testing.assert_close(work.moved().points, relax(mesh).points, rtol=0, atol=1e-12)
 
 
-def test_an_interior_that_followed_its_boundary_is_left_as_it_is_at_the_first_look(monkeypatch):
+def test_an_interior_that_followed_its_boundary_is_left_as_it_is_at_the_first_glance(monkeypatch):
     points, triangles = meshes.holed_arrays(40, 24, 24)
     mesh = tm.MeshBatch.from_arrays(points, triangles)
     hole = mesh.fixed & (mesh.points > mesh.points.amin(0)).all(1) & (mesh.points < mesh.points.amax(0)).all(1)
@@ -62,7 +62,7 @@ def test_an_interior_that_followed_its_boundary_is_left_as_it_is_at_the_first_lo
     sweeps = []
     monkeypatch.setattr(_Averaging, "sweep", lambda self, sweep=_Averaging.sweep: sweeps.append(sweep(self)))
     assert torch.equal(unscramble(moved).points, moved.points)
-    assert len(sweeps) == _SWEEPS
+    assert len(sweeps) == _GLANCE
 
 
 def test_where_no_mean_is_valid_the_better_of_both_comes_back():
