@@ -66,18 +66,20 @@ def opposite_angle_rank(q: Quads) -> Tensor:
 
 def new_signs(q: Quads) -> tuple[Tensor, Tensor]:
     """(N,) exact signs of the two triangles that the flip would make, urs and rws."""
-    return (
-        orientation(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy),
-        orientation(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy),
-    )
+    first, second = _signs(q, "urs", "rws")
+    return first, second
 
 
 def old_signs(q: Quads) -> tuple[Tensor, Tensor]:
     """(N,) exact signs of the two triangles of the edge, uws and wur."""
-    return (
-        orientation(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy),
-        orientation(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry),
-    )
+    first, second = _signs(q, "uws", "wur")
+    return first, second
+
+
+def _signs(q: Quads, *triangles: str) -> Tensor:
+    """(K, N) exact signs of the triangles of these corners, in one go."""
+    columns = [torch.cat([getattr(q, t[i] + axis) for t in triangles]) for i in range(3) for axis in "xy"]
+    return orientation(*columns).view(len(triangles), -1)
 
 
 def kim_rule(q: Quads) -> tuple[Tensor, Tensor]:
@@ -146,7 +148,7 @@ def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
     gain = _pair_energy(few, False) - _pair_energy(few, True)
     wins = (gain > 1e-10).nonzero().squeeze(1)
     fewer = _some(few, wins)
-    legal = torch.stack(old_signs(fewer) + new_signs(fewer)).amin(0) > 0
+    legal = _signs(fewer, "uws", "wur", "urs", "rws").amin(0) > 0
     eligible = torch.zeros_like(near)
     eligible[rows[wins[legal]]] = True
     rank = torch.zeros_like(q.ux)
@@ -276,9 +278,18 @@ def _cotangent_deficit(q: Quads) -> tuple[Tensor, Tensor]:
 
 def _canonical(h: Tensor, twin: Tensor) -> Tensor:
     """The interior edges among half-edges h, each once, as its lower half-edge, ascending."""
-    other = twin[h]
-    inner = other >= 0
-    return torch.minimum(h[inner], other[inner]).unique()
+    other = twin.index_select(0, h)
+    lower = torch.minimum(h, other)
+    if _SPARSE * len(h) < len(twin):
+        return lower[other >= 0].unique()
+    # To mark them among all is faster than to sort many.
+    marks = torch.zeros(len(twin) + 1, dtype=torch.bool, device=h.device)
+    marks.index_fill_(0, torch.where(other >= 0, lower, len(twin)), True)
+    return marks[:-1].nonzero().squeeze(1)
+
+
+# Half-edges of the mesh to one in question, above which few are in question.
+_SPARSE = 16
 
 
 def _eligible(
