@@ -24,6 +24,8 @@ from .triangle import SQRT3, corners, signed_area
 _WORTH = 1.2
 # What fewer collapses than this part do in a round waits for the next cut.
 _WAITS = 0.1
+# The last smoothing ends at so many times its tolerance: what comes after is less than vertices that travel on win.
+_LOOSER = 3
 # How often a mesh may try to exchange fewer vertices.
 _TRIES = 4
 
@@ -35,7 +37,7 @@ class Relocation(Remeshing):
     shakes = ((0.9, 1.3),)
     # Edges may be half as long again as they should be: better sizes are not worth the time to load scipy.
     accuracy = 1e-3
-    few = 50
+    few = 40
     rest = SmoothOptions(max_iterations=8, energy_tolerance=1e-3, single=True)
 
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
@@ -84,7 +86,8 @@ class Relocation(Remeshing):
 
     def _polish(self, going: Tensor) -> None:
         if bool(going.any()):
-            self._settle(going, self.options.smooth)
+            smoothing = self.options.smooth
+            self._settle(going, dataclasses.replace(smoothing, energy_tolerance=_LOOSER * smoothing.energy_tolerance))
 
     def _renew(self, going: Tensor, before: MeshBatch, after: MeshBatch) -> None:
         # Vertices take their sizes along: to ask for them anew would cost more than it betters.

@@ -245,7 +245,7 @@ class Remeshing:
             before, after = worst_after(e, h[long])
             wanted = torch.zeros(len(h), dtype=torch.bool, device=h.device)
             wanted[long] = after <= before.clamp_min(self.options.worst)
-            return wanted, e.shuffled(h, -ratio)
+            return wanted, torch.zeros_like(h).index_copy(0, long, e.shuffled(h[long], -ratio[long]))
 
         return wish
 

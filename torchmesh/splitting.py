@@ -124,11 +124,13 @@ def split_rounds(
     for _ in range(max_rounds):
         edge = e.edges()
         edge = edge[awake[e.vertex[edge]] | awake[e.head(edge)]]
+        if budget is not None:
+            edge = edge[(total < budget)[e.mesh[e.vertex[edge]]]]
+        if not len(edge):
+            break
         wanted, rank = wish(edge)
         edge, rank = edge[wanted], rank[wanted]
         may = splittable(e, edge, allow_fixed)
-        if budget is not None:
-            may &= (total < budget)[e.mesh[e.vertex[edge]]]
         edge, rank = edge[may], rank[may]
         if not len(edge):
             break
