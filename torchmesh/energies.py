@@ -103,20 +103,22 @@ class InverseMeanRatio:
 
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         # A det that is not positive becomes tiny: its phi overflows the line search's test.
-        inverse = 1.0 / det.clamp_min(1e-160 if det.dtype == torch.float64 else 1e-30)
-        ratio = 0.5 * stretch * inverse
+        inverse = det.clamp_min(1e-160 if det.dtype == torch.float64 else 1e-30).reciprocal_()
+        ratio = (stretch * inverse).mul_(0.5)
         # Repeated products: the bits of a general power depend on where in a vector a number stands.
         lower = ratio if self.power > 1 else torch.ones_like(ratio)
         for _ in range(self.power - 2):
             lower = lower * ratio
-        phi, by_ratio = lower * ratio, self.power * lower
+        phi = lower * ratio
+        # Half of d phi / d q; the other half is that of d q / d stretch = inverse / 2.
+        half = lower if self.power == 2 else (0.5 * self.power) * lower
         if self.ceiling is not None:
             excess = ratio * (1 / self.ceiling)
             eighth = excess.square().square_().square_()
             phi += eighth
-            by_ratio += 8 * eighth / ratio
-        slope = 0.5 * by_ratio * inverse
-        return phi, slope, -2.0 * ratio * slope
+            half = half + (4 * eighth).div_(ratio)
+        slope = half * inverse
+        return phi, slope, (ratio * slope).mul_(-2.0)
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class UntangleBeta:
 
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         lack = (self.beta - 0.5 * det).clamp_min(0)
-        return lack * lack, torch.zeros_like(lack), -lack
+        return lack * lack, lack.new_zeros(()).expand_as(lack), -lack
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,7 @@ def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
 class Piece(NamedTuple):
     """T triangles that are worked on at a time, with what belongs to them.
 
-    rows    (6 T,) where all ax, then all ay, bx, by, cx and cy stand in the vector of coordinates
+    rows    (6 T,) int64, where all ax, then all ay, bx, by, cx and cy stand in the vector of coordinates
     edges   (2, 2, T) x and y of e1 and of e2 where all coordinates are zero; None: zero
     energy, target  theirs
     """
@@ -232,7 +234,8 @@ def pieces_of(
     for start, end in itertools.pairwise(chunk_borders([0, rows.shape[1]]) if borders is None else borders):
         here = slice(start, end)
         before = None if edges is None else edges[:, here].reshape(2, 2, -1)
-        pieces.append(Piece(rows[:, here].reshape(-1), before, select_rows(energy, here), select_rows(target, here)))
+        own = rows[:, here].reshape(-1).to(torch.int64)
+        pieces.append(Piece(own, before, select_rows(energy, here), select_rows(target, here)))
     return pieces
 
 
@@ -275,8 +278,9 @@ def _add_forces(piece: Piece, coordinates: Tensor, gradient: Tensor) -> tuple[Te
     e, target = piece.edges_at(coordinates), piece.target
     e1x, e1y, e2x, e2y = e.view(4, -1).unbind(0)
     det = (e1x * e2y).addcmul_(e1y, e2x, value=-1).mul_(target.m)
-    # The forces on b and c.
-    forces = torch.empty_like(e)
+    # On a, and on b and c.
+    every = e.new_empty((3, *e.shape[1:]))
+    forces = every[1:]
     f1x, f1y, f2x, f2y = forces.view(4, -1).unbind(0)
     if piece.energy.stretches:
         # Half the derivative of the stretch by e1 and by e2.
@@ -298,9 +302,9 @@ def _add_forces(piece: Piece, coordinates: Tensor, gradient: Tensor) -> tuple[Te
         by_det.neg_()
         torch.mul(e2x, by_det, out=f1y)
         torch.mul(e1y, by_det, out=f2x)
-    count = 2 * e.shape[2]
-    gradient.index_add_(0, piece.rows[count:], forces.view(-1))
-    gradient.index_add_(0, piece.rows[:count], (forces[0] + forces[1]).view(-1), alpha=-1)
+    torch.add(forces[0], forces[1], out=every[0])
+    every[0].neg_()
+    gradient.scatter_add_(0, piece.rows, every.view(-1))
     return phi, det
 
 
