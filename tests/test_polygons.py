@@ -146,7 +146,7 @@ def test_winding_against_shapely(seed):
     inside = winding(points, np.arange(len(rim), len(points)), rim_of(loops))
     polygon = shapely.Polygon(rim[loops[0]], [rim[loop] for loop in loops[1:]])
     np.testing.assert_array_equal(inside, shapely.contains_xy(polygon, points[len(rim) :]).astype(int))
-    assert [turns_left(points, loop) for loop in loops] == [1, -1, -1]
+    assert turns_left(points, loops).tolist() == [1, -1, -1]
 
 
 @pytest.mark.parametrize("seed", range(10))

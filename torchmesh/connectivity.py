@@ -126,21 +126,23 @@ def boundary_loops(rim: Tensor) -> list[Tensor]:
     onward = dict(pairs)
     if len(onward) == len(pairs):
         # No vertex is passed twice.
-        order, sizes = [], []
-        while onward:
-            loop = [next(iter(onward))]
-            while (v := onward.pop(loop[-1])) != loop[0]:
-                loop.append(v)
-            order += loop
-            sizes.append(len(loop))
+        order: list[int] = []
+        sizes = []
+        for v, _ in pairs:
+            begin = len(order)
+            while v in onward:
+                order.append(v)
+                v = onward.pop(v)
+            if len(order) > begin:
+                sizes.append(len(order) - begin)
         return list(torch.tensor(order, dtype=torch.int64, device=rim.device).split(sizes))
     loops: list[Tensor] = []
     following: dict[int, list[int]] = {}
     for u, v in pairs:
         following.setdefault(u, []).append(v)
-    while following:
-        walk = [next(iter(following))]
-        place = {walk[0]: 0}
+    for first, _ in pairs:
+        walk = [first] if first in following else []
+        place = {first: 0}
         while walk:
             u = walk[-1]
             v = following[u].pop()

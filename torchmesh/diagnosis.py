@@ -100,32 +100,40 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int, sew: bool = True) -> list[_F
         triangles = triangles[ill]
         twin = connectivity.twins(triangles)
         label = connectivity.triangle_components(triangles, twin)
-    ends = torch.stack([connectivity.tails(triangles), connectivity.heads(triangles)], 1)
     count = len(points)
     constraints = mesh.constrained_edges.cpu()
     of_piece = np.zeros(count, np.int64)
     of_piece[triangles.numpy()] = label.numpy()[:, None]
     slit = torch.zeros_like(twin, dtype=torch.bool)
-    name = sewing(points, triangles.numpy(), ends[twin < 0].numpy(), of_piece) if sew else None
+    name = None
+    if sew:
+        name = sewing(points, triangles.numpy(), connectivity.boundary_edges(triangles, twin).numpy(), of_piece)
     if name is not None:
         sewn = torch.from_numpy(name)
-        triangles, ends, constraints = sewn[triangles], sewn[ends], sewn[constraints]
+        triangles, constraints = sewn[triangles], sewn[constraints]
         slit, twin = twin < 0, connectivity.twins(triangles)
         slit &= twin >= 0
         label = connectivity.triangle_components(triangles, twin)
+    tails, heads = connectivity.tails(triangles), connectivity.heads(triangles)
     inner = twin >= 0
     wall = slit
     if len(constraints):
         walls = connectivity.edge_keys(constraints[:, 0], constraints[:, 1], count)
-        wall = slit | (torch.isin(connectivity.edge_keys(ends[:, 0], ends[:, 1], count), walls) & inner)
-    held = mesh.fixed.cpu()[ends].all(1) & inner if keep else torch.zeros_like(inner)
-    parted = wall | held
+        wall = slit | (torch.isin(connectivity.edge_keys(tails, heads, count), walls) & inner)
+    parted = wall
+    if keep:
+        held = mesh.fixed.cpu()
+        parted = wall | (held[tails] & held[heads] & inner)
     closed = connectivity.triangle_components(triangles, twin, parted) if bool(parted.any()) else label
     region = closed.numpy()
-    once = ~inner | (parted & (torch.arange(len(twin)) < twin))
-    rows = once.nonzero().squeeze(1).numpy()
-    edges = ends.numpy()[rows]
-    what = np.where(~inner | slit, _BORDER, np.where(wall, _CONSTRAINT, _HELD))[rows]
+    # The half-edges of borders and walls of all kinds, and of these each edge once.
+    rows = (~inner | parted).nonzero().squeeze(1)
+    across = twin[rows]
+    ends = torch.stack([tails[rows], heads[rows]], 1).numpy()
+    once = ((across < 0) | (rows < across)).numpy()
+    border, walled = ((across < 0) | slit[rows]).numpy(), wall[rows].numpy()
+    what = np.where(border, _BORDER, np.where(walled, _CONSTRAINT, _HELD))[once]
+    edges = ends[once]
     faces = triangles.numpy()
     used = np.zeros(count, bool)
     used[faces] = True
@@ -133,20 +141,24 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int, sew: bool = True) -> list[_F
     found = _first(_duplicates(points, of_piece, fixed), most)
     if keep:
         on_rim = np.zeros(count, bool)
-        on_rim[ends[~inner].numpy()] = True
+        on_rim[ends[(across < 0).numpy()]] = True
         found += _obstructions(points, faces, fixed, used & ~on_rim, most)
         if found and len(edges) > _MANY:
             # Held edges by the hundred thousand take seconds, and that the mesh is impossible is known.
             edges, what = edges[what != _HELD], what[what != _HELD]
     found += _crossings(points, edges, what, of_piece, fixed, most)
     if not found:
-        own = np.repeat(region, 3)
-        rim = ~inner.numpy() | (region[twin.numpy() // 3] != own)
-        # A triangle between held edges has been judged already.
-        judged = fixed[faces].all(1) & keep
-        for rim_rows, face_rows in zip(_grouped(own, rim), _grouped(region, ~judged), strict=True):
-            if len(face_rows):
-                found += _nesting(points, ends.numpy()[rim_rows], faces[face_rows], fixed)
+        # Triangles between held edges have been judged already.
+        if keep:
+            left = ~fixed[faces].all(1)
+            faces, of_face = faces[left], region[left]
+        else:
+            of_face = region
+        unsettled = np.bincount(of_face, minlength=int(region.max()) + 1) > 0
+        # An edge with the same region on both sides is not of its rim.
+        own, other = region[rows.numpy() // 3], region[across.numpy() // 3]
+        rim = ((across < 0).numpy() | (other != own)) & unsettled[own]
+        found += _nestings(points, ends[rim], own[rim], faces, of_face, fixed)
         if name is not None and {kind for kind, *_ in found} == {ProblemKind.VERTEX_OUTSIDE}:
             # No slit, but a hole, say, whose side lies on the boundary: told as such.
             return _of_one(mesh, keep, most, sew=False)
@@ -163,13 +175,6 @@ def _first(found: Iterable[_Found], most: int) -> list[_Found]:
     """At most so many of each kind, which come one kind after the other."""
     groups = itertools.groupby(found, key=lambda f: f[0])
     return [f for _, group in groups for f in itertools.islice(group, most)]
-
-
-def _grouped(label: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
-    """For each label 0, 1, ... the rows that have it and are in `mask`."""
-    rows = np.flatnonzero(mask)
-    rows = rows[np.argsort(label[rows], kind="stable")]
-    return np.split(rows, np.searchsorted(label[rows], np.arange(1, int(label.max(initial=-1)) + 1)))
 
 
 def _obstructions(
@@ -257,15 +262,46 @@ def _first_in_place(points: np.ndarray, of_piece: np.ndarray, rows: np.ndarray) 
     return first
 
 
-def _nesting(points: np.ndarray, rim: np.ndarray, faces: np.ndarray, fixed: np.ndarray) -> Iterator[_Found]:
-    """What is wrong with one region, whose edges `rim` (E, 2) do not cross: how its loops and vertices lie."""
-    if not len(rim):
-        place = _at(points[faces[0, 0]])
-        text = f"the triangles around vertex {faces[0, 0]} close up as on a sphere: they have no boundary"
-        yield ProblemKind.NO_AREA, text, (int(faces[0, 0]),), place
-        return
-    loops = loops_of(rim)
-    turn = np.array([turns_left(points, loop) for loop in loops])
+def _nestings(
+    points: np.ndarray, rim: np.ndarray, of_edge: np.ndarray, faces: np.ndarray, of_face: np.ndarray, fixed: np.ndarray
+) -> Iterator[_Found]:
+    """What is wrong with the regions, whose edges `rim` (E, 2) do not cross: how their loops and vertices lie.
+
+    of_edge (E,), of_face (T,): the region of each edge of the rim and of each of the `faces` (T, 3)
+    """
+    count = len(points)
+    # Each region has names of its own for its vertices.
+    named = rim + count * of_edge[:, None]
+    loops = loops_of(named)
+    mine: dict[int, list[int]] = {}
+    for i, loop in enumerate(loops):
+        mine.setdefault(int(loop[0]) // count, []).append(i)
+    loops = [loop % count for loop in loops]
+    turn = turns_left(points, loops)
+    of_vertex = np.full(count, -1)
+    of_vertex[rim] = of_edge[:, None]
+    corners = np.flatnonzero(fixed[faces])
+    vertex, of_corner = faces.ravel()[corners], of_face[corners // 3]
+    doubtful = of_vertex[vertex] != of_corner
+    inside = np.setdiff1d((vertex + count * of_corner)[doubtful], named)
+    anchors = {int(keys[0]) // count: keys % count for keys in _runs(inside, inside // count)}
+    for region in np.flatnonzero(np.bincount(of_face)).tolist():
+        rows = mine.get(region, [])
+        if not rows:
+            v = int(faces[of_face == region][0, 0])
+            text = f"the triangles around vertex {v} close up as on a sphere: they have no boundary"
+            yield ProblemKind.NO_AREA, text, (v,), _at(points[v])
+        elif len(rows) > 1 or turn[rows[0]] <= 0 or region in anchors:
+            yield from _nesting(points, [loops[i] for i in rows], turn[rows], anchors.get(region, inside[:0]))
+
+
+def _runs(values: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
+    """`values` (N,) cut where their `label` (N,) changes."""
+    return [part for part in np.split(values, np.flatnonzero(np.diff(label)) + 1) if len(part)]
+
+
+def _nesting(points: np.ndarray, loops: list[np.ndarray], turn: np.ndarray, inside: np.ndarray) -> Iterator[_Found]:
+    """What is wrong with one region of loops that turn to the left or not, and the fixed vertices in it."""
     left = np.flatnonzero(turn > 0)
     if not len(left):
         longest = loops[int(np.argmax([_extent(points[loop]) for loop in loops]))]
@@ -273,7 +309,7 @@ def _nesting(points: np.ndarray, rim: np.ndarray, faces: np.ndarray, fixed: np.n
         text = f"the loop through vertex {longest[0]} at {_text(place)} runs clockwise: its region has no positive area"
         yield ProblemKind.NO_AREA, text, (int(longest[0]),), place
         return
-    outer_row = left[int(np.argmax([_extent(points[loops[i]]) for i in left]))]
+    outer_row = left[int(np.argmax([_extent(points[loops[i]]) for i in left]))] if len(left) > 1 else left[0]
     outer = loop_edges(loops[outer_row])
     sound = True
     for i, hole in enumerate(loops):
@@ -298,20 +334,12 @@ def _nesting(points: np.ndarray, rim: np.ndarray, faces: np.ndarray, fixed: np.n
         text = f"the hole through vertex {u} at {_text(place)} lies inside the hole through vertex {v}"
         yield ProblemKind.HOLE_OUTSIDE, text, (u, v), place
         sound = False
-    if sound:
-        yield from _outside(points, loops, outer_row, faces, fixed)
+    if sound and len(inside):
+        yield from _outside(points, loops, outer_row, inside)
 
 
-def _outside(
-    points: np.ndarray, loops: list[np.ndarray], outer: int, faces: np.ndarray, fixed: np.ndarray
-) -> Iterator[_Found]:
-    """Fixed vertices of a region that are not in it."""
-    inner = np.zeros(len(points), bool)
-    inner[faces] = True
-    inner[np.concatenate(loops)] = False
-    rows = np.flatnonzero(inner & fixed)
-    if not len(rows):
-        return
+def _outside(points: np.ndarray, loops: list[np.ndarray], outer: int, rows: np.ndarray) -> Iterator[_Found]:
+    """Those of a region's fixed vertices `rows` (N,) that are not in it."""
     # Shapely clears the many that are well inside; exact signs judge the rest.
     import shapely
 

@@ -134,12 +134,24 @@ def _meet(points: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
     return meet
 
 
-def turns_left(points: np.ndarray, loop: np.ndarray) -> int:
-    """1 for a counter-clockwise simple loop, -1 for a clockwise one, 0 when its first corner is flat."""
-    xy = points[loop]
-    k = int(np.lexsort((xy[:, 1], xy[:, 0]))[0])
-    corner = loop[[k - 1, k, (k + 1) % len(loop)]]
-    return int(signs(points, corner[:1], corner[1:2], corner[2:])[0])
+def turns_left(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:
+    """(L,) 1 for a counter-clockwise simple loop, -1 for a clockwise one, 0 where the first corner is flat."""
+    if not loops:
+        return np.zeros(0, np.int8)
+    flat = np.concatenate(loops)
+    size = np.array([len(loop) for loop in loops])
+    start = np.cumsum(size) - size
+    first = start + [_lowest(points[loop]) for loop in loops]
+    before = np.where(first == start, start + size, first) - 1
+    after = np.where(first + 1 == start + size, start, first + 1)
+    return signs(points, flat[before], flat[first], flat[after])
+
+
+def _lowest(xy: np.ndarray) -> int:
+    """The row of `xy` (N, 2) that comes first by x, then by y."""
+    x = xy[:, 0]
+    leftmost = np.flatnonzero(x == x.min())
+    return int(leftmost[xy[leftmost, 1].argmin()])
 
 
 def winding(points: np.ndarray, p: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -167,7 +179,7 @@ def why_not_simple(points: np.ndarray, loops: list[np.ndarray]) -> Obstacle | No
     pairs = crossing_pairs(points, rim)
     if len(pairs):
         return Obstacle("the edges [{}, {}] and [{}, {}] of the rim meet", tuple(rim[pairs[0]].ravel().tolist()))
-    turn = np.array([turns_left(points, loop) for loop in loops])
+    turn = turns_left(points, loops)
     if (turn > 0).sum() != 1 or (turn == 0).any():
         return Obstacle(f"the rim has {(turn > 0).sum()} outer loops, not one")
     outer = loops[int(turn.argmax())]
@@ -247,8 +259,7 @@ def _proposed(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray | None:
     """GEOS's triangles (T, 3) if exact signs confirm them."""
     import shapely
 
-    turn = [turns_left(points, loop) for loop in loops]
-    outer = int(np.argmax(turn))
+    outer = int(np.argmax(turns_left(points, loops)))
     polygon = shapely.Polygon(points[loops[outer]], [points[loop] for i, loop in enumerate(loops) if i != outer])
     if not polygon.is_valid:
         return None
