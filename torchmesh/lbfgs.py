@@ -109,10 +109,9 @@ def minimise(
     iteration = 0
     while True:
         finished = run.close(iteration >= options.max_iterations)
-        many = int((run.blocks * finished).sum())
-        everyone = many == len(run.x) and bool(finished.all())
+        many = 0 if finished is None else int((run.blocks * finished).sum())
         # Finished problems leave together, when carrying them costs more than moving the rest.
-        if everyone or 4 * many > len(run.x):
+        if finished is not None and ((everyone := bool(finished.all())) or 4 * many > len(run.x)):
             leaving = rows[finished]
             report["energy"][leaving] = (run.energy / run.unit)[finished]
             report["gradient"][leaving] = (run.slope / run.unit)[finished]
@@ -142,9 +141,9 @@ class _Run:
     past         (K, 2m+1, BLOCK) the last m steps s, their m gradient changes y, the gradient g
     energy       and descent, its slope along d, in units of 1 / unit
     against      (B, 2m+1) the products of `past` with g: S'g and Y'g by slots, in which pairs replace one another, g'g
-    sy           (B, m) s_i'y_i, from the oldest pair to the newest
-    inverse      (B, m, m) of the upper triangle of s_i'y_j, i <= j, which has `sy` on its diagonal; without its
-                 first row and column it is that of the later pairs
+    sy           (B, m) s_i'y_i
+    inverse      (B, m, m) of the triangle of s_i'y_j, i no newer than j, which has `sy` on its diagonal; without the
+                 row and column of the oldest pair it is that of the others
     yy           (B, m, m) y_i'y_j
     gamma        (B,) s'y / y'y of the newest pair that counts: the scale of the first Hessian
 
@@ -204,21 +203,21 @@ class _Run:
         self.recent = self.recent[:, keep]
         self._index(self.blocks[keep])
 
-    def close(self, out_of_iterations: bool) -> Tensor:
-        """(B,) bool: the problems at the end of their run, whose status is set."""
+    def close(self, out_of_iterations: bool) -> Tensor | None:
+        """(B,) bool: the problems at the end of their run, whose status is set; None: there are none."""
         settled = (self.accepted >= self.options.patience) & (
             self.recent[0] - self.energy <= self.options.energy_tolerance * self.energy.abs()
         )
         small = self.gg <= self.tiny
         stuck = self.t < 1e-12
         ended = settled | small | stuck | (self.status != Status.RUNNING)
-        if out_of_iterations or bool(ended.any()):
-            status = torch.full_like(self.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
-            for hit, ending in ((stuck, Status.STALLED), (settled, Status.SETTLED), (small, Status.CONVERGED)):
-                status = torch.where(hit, ending, status)
-            self.status = torch.where(self.status == Status.RUNNING, status, self.status)
-            return self.status != Status.RUNNING
-        return ended
+        if not out_of_iterations and not bool(ended.any()):
+            return None
+        status = torch.full_like(self.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
+        for hit, ending in ((stuck, Status.STALLED), (settled, Status.SETTLED), (small, Status.CONVERGED)):
+            status = torch.where(hit, ending, status)
+        self.status = torch.where(self.status == Status.RUNNING, status, self.status)
+        return self.status != Status.RUNNING
 
     def step(self, iteration: int) -> None:
         """Try one step of every problem; accept it or shorten it."""
@@ -287,25 +286,27 @@ class _Run:
             sy, yy = torch.where(curved, sy, 1.0), torch.where(curved, yy, 0.0)
             self._drop(curved, [slot, m + slot])
             change = torch.where(curved[:, None], change, 0.0)
-            old = (self.yy[:, 1:, 1:].diagonal(dim1=1, dim2=2) > 0).any(1)
+            self.yy[:, slot, slot] = 0.0
+            old = (self.yy.diagonal(dim1=1, dim2=2) > 0).any(1)
             self.gamma = torch.where(curved, sy / yy, torch.where(old, self.gamma, self._first_step()))
-        self._append(change[:, : 2 * m].view(-1, 2, m).index_select(2, self._by_age[slot]), sy, yy)
-        self.d, self.descent = self._direction(self._recursion(slot))
+        self._pair(slot, change[:, : 2 * m].view(-1, 2, m), sy, yy)
+        self.d, self.descent = self._direction(self._recursion())
         downhill = self.descent < 0
         if not bool(downhill.all()) and bool((good & ~downhill).any()):
             self._forget(good & ~downhill)
-            self.d, self.descent = self._direction(self._recursion(slot))
+            self.d, self.descent = self._direction(self._recursion())
 
-    def _append(self, new: Tensor, sy: Tensor, yy: Tensor) -> None:
-        """The oldest pair goes, the newest comes, with the products of its y and all s and y (B, 2, m), and its own."""
-        column = _batched(self.inverse[:, 1:, 1:], new[:, 0, :-1, None]) / -sy[:, None, None]
-        self.sy = torch.cat([self.sy[:, 1:], sy[:, None]], 1)
-        self.inverse = torch.nn.functional.pad(self.inverse[:, 1:, 1:], (0, 1, 0, 1))
-        self.inverse[:, :-1, -1:] = column
-        self.inverse[:, -1, -1] = 1 / sy
-        self.yy = torch.nn.functional.pad(self.yy[:, 1:, 1:], (0, 1, 0, 1))
-        self.yy[:, -1] = self.yy[:, :, -1] = new[:, 1]
-        self.yy[:, -1, -1] = yy
+    def _pair(self, slot: int, new: Tensor, sy: Tensor, yy: Tensor) -> None:
+        """The oldest pair goes, the newest comes in its `slot`.
+
+        new  (B, 2, m) the products of its y with all s and y;  sy, yy (B,) with its own
+        """
+        new[:, 0, slot], new[:, 1, slot] = 0.0, yy
+        self.inverse[:, slot] = 0.0
+        self.inverse[:, :, slot] = _batched(new[:, :1], self.inverse.mT).squeeze(1) / -sy[:, None]
+        self.inverse[:, slot, slot] = sy.reciprocal()
+        self.yy[:, slot] = self.yy[:, :, slot] = new[:, 1]
+        self.sy[:, slot] = sy
 
     def _drop(self, keep: Tensor, slots: list[int]) -> None:
         """Make the vectors in `slots` zero where `keep` (B,) is false."""
@@ -322,17 +323,14 @@ class _Run:
         self.inverse = torch.where(lost[:, None, None], torch.diag_embed(torch.ones_like(self.sy)), self.inverse)
         self.yy = torch.where(lost[:, None, None], 0.0, self.yy)
 
-    def _recursion(self, slot: int) -> Tensor:
-        """(B, 2m) the weights of H g = gamma g + S a + Y b by slots; Byrd, Nocedal & Schnabel 1994, equation 3.1.
-
-        slot  that of the newest pair
-        """
+    def _recursion(self) -> Tensor:
+        """(B, 2m) the weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1."""
         m = self.options.history
-        sg, yg = self.against[:, : 2 * m].view(-1, 2, m).index_select(2, self._by_age[slot]).split(1, 1)
+        sg, yg = self.against[:, None, :m], self.against[:, None, m : 2 * m]
         gamma = self.gamma[:, None, None]
         w = _batched(sg, self.inverse.mT)
         a = _batched(self.sy[:, None] * w + gamma * (_batched(w, self.yy) - yg), self.inverse)
-        return torch.cat([a, -gamma * w], 1).index_select(2, self._by_slot[slot]).flatten(1)
+        return torch.cat([a, -gamma * w], 2).squeeze(1)
 
     def _direction(self, weights: Tensor) -> tuple[Tensor, Tensor]:
         """(K, BLOCK) minus H g, of the `weights` (B, 2m) of the pairs; and (B,) the slope along it."""
@@ -358,10 +356,6 @@ class _Run:
         self.blocks = blocks
         self.offsets = offsets_from_counts(blocks)
         self.owner = torch.arange(len(blocks), device=blocks.device).repeat_interleave(blocks)
-        slots = torch.arange(self.options.history, device=blocks.device)
-        # For each slot of the newest pair: the slots from the oldest pair to the newest, and the ages by slots.
-        self._by_age = [slots.roll(-1 - slot) for slot in range(len(slots))]
-        self._by_slot = [slots.roll(1 + slot) for slot in range(len(slots))]
 
     def _to_blocks(self, per_problem: Tensor) -> Tensor:
         return per_problem.index_select(0, self.owner)[:, None]
