@@ -68,6 +68,11 @@ def _improve_in_shards(
     borders: list[int],
     workers: int,
 ) -> tuple[MeshBatch, Report]:
+    # What one mesh of many needs is loaded here once, and not by every process of every call.
+    import shapely  # noqa: F401
+
+    from . import gathering, pockets  # noqa: F401
+
     place = torch.arange(len(batch), device=batch.points.device)
 
     def task(i: int) -> tuple[MeshBatch, Report]:
