@@ -15,7 +15,7 @@ from torch import Tensor
 
 from . import connectivity
 from .errors import InvalidMeshError, MeshWarning
-from .segments import counts_from_offsets, offsets_from_counts, segment_ids, spread
+from .segments import counts_from_offsets, offsets_from_counts, rows_of, segment_ids, spread
 from .validation import checked_constraints, checked_fixed, checked_points, checked_triangles, oriented, to_plane
 
 
@@ -138,19 +138,20 @@ class MeshBatch:
         if bool(keep.all()):
             return self
         vertex_counts = counts_from_offsets(self.point_offsets)
-        rows, faces = spread(keep, self.point_offsets), spread(keep, self.triangle_offsets)
+        rows, faces = rows_of(keep, self.point_offsets), rows_of(keep, self.triangle_offsets)
         offsets = offsets_from_counts(vertex_counts[keep])
+        triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep])
         shift = torch.zeros_like(vertex_counts)
         shift[keep] = offsets[:-1] - self.point_offsets[:-1][keep]
         owner = self._constraint_owner()
         constraints = keep[owner]
         return MeshBatch(
-            self.points[rows],
-            (self.triangles + spread(shift, self.triangle_offsets)[:, None])[faces],
-            self.fixed[rows],
+            self.points.index_select(0, rows),
+            self.triangles.index_select(0, faces).add_(spread(shift[keep], triangle_offsets)[:, None]),
+            self.fixed.index_select(0, rows),
             (self.constrained_edges + shift[owner][:, None])[constraints],
             offsets,
-            offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep]),
+            triangle_offsets,
             self.frames[keep],
         )
 
@@ -191,11 +192,13 @@ def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
     """
     if len(part) == len(batch):
         return part
-    points, triangles = batch.points.clone(), batch.triangles.clone()
-    points[spread(at, batch.point_offsets)] = part.points
     shift = batch.point_offsets[:-1][at] - part.point_offsets[:-1]
-    triangles[spread(at, batch.triangle_offsets)] = part.triangles + spread(shift, part.triangle_offsets)[:, None]
-    return dataclasses.replace(batch, points=points, triangles=triangles)
+    triangles = part.triangles + spread(shift, part.triangle_offsets)[:, None]
+    return dataclasses.replace(
+        batch,
+        points=batch.points.index_copy(0, rows_of(at, batch.point_offsets), part.points),
+        triangles=batch.triangles.index_copy(0, rows_of(at, batch.triangle_offsets), triangles),
+    )
 
 
 def select_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
@@ -205,7 +208,7 @@ def select_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
     offsets = 3 * batch.triangle_offsets
     counts = counts_from_offsets(offsets)
     shift = offsets[:-1] - offsets_from_counts(counts * keep)[:-1]
-    part = twin[spread(keep, offsets)]
+    part = twin.index_select(0, rows_of(keep, offsets))
     return torch.where(part < 0, -1, part - shift[keep].repeat_interleave(counts[keep]))
 
 
@@ -216,9 +219,8 @@ def put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tenso
     offsets = 3 * batch.triangle_offsets
     counts = counts_from_offsets(offsets)
     shift = offsets[:-1] - offsets_from_counts(counts * at)[:-1]
-    twin = twin.clone()
-    twin[spread(at, offsets)] = torch.where(part < 0, -1, part + shift[at].repeat_interleave(counts[at]))
-    return twin
+    part = torch.where(part < 0, -1, part + shift[at].repeat_interleave(counts[at]))
+    return twin.index_copy(0, rows_of(at, offsets), part)
 
 
 def touching(batch: MeshBatch, vertices: Tensor) -> Tensor:

@@ -32,6 +32,11 @@ def spread(per_mesh: Tensor, offsets: Tensor) -> Tensor:
     return per_mesh.repeat_interleave(counts_from_offsets(offsets), dim=0)
 
 
+def rows_of(keep: Tensor, offsets: Tensor) -> Tensor:
+    """(B,) bool to (M,) int64: the rows of the meshes kept, in their order."""
+    return spread(keep, offsets).nonzero().squeeze(1)
+
+
 def segment_sum(values: Tensor, offsets: Tensor) -> Tensor:
     """(N,) floating rows to their (B,) sums; 0 for a mesh without rows."""
     return torch.segment_reduce(values, "sum", offsets=offsets, initial=0.0)
