@@ -23,9 +23,9 @@ from .triangle import SQRT3, corners, signed_area
 # An edge of its size is not worth a vertex that was long in coming.
 _WORTH = 1.2
 # What fewer collapses than this part do in a round waits for the next cut.
-_WAITS = 0.1
+_WAITS = 0.15
 # The last smoothing ends at so many times its tolerance: what comes after is less than vertices that travel on win.
-_LOOSER = 3
+_LOOSER = 5
 # How often a mesh may try to exchange fewer vertices.
 _TRIES = 4
 

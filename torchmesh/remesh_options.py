@@ -28,7 +28,7 @@ class RemeshOptions:
     worst           no split or collapse makes a triangle of higher inverse mean ratio, unless one as bad was there
     split_boundary  may boundary and constrained edges be halved?  Their course stays as it is
     max_rounds      rounds of splitting, collapsing, flipping and smoothing at most
-    smooth          the last smoothing, where all rows stay at three times its tolerance.  A metric field as its
+    smooth          the last smoothing, where all rows stay at five times its tolerance.  A metric field as its
                     `targets` holds for all of the remeshing: lengths and shapes are then those that it measures, so
                     that it stretches edges and leaves areas alone
     """
