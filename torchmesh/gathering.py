@@ -20,6 +20,7 @@ from .mesh import MeshBatch, put
 from .quality import quality
 from .relocation import Relocation
 from .remesh_options import RemeshOptions
+from .remeshing import Remeshing
 from .segments import counts_from_offsets, segment_ids, segment_max, segment_sum, spread
 from .sizing import continue_inwards, exp, log
 from .triangle import SQRT3, corners, signed_area
@@ -142,7 +143,11 @@ def _distance(points: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 class Gathering(Relocation):
-    """`Relocation` towards sizes that grow from a few places."""
+    """`Relocation` towards sizes that grow from a few places, as thorough as `Remeshing`: such meshes are few."""
+
+    few, rest = Remeshing.few, Remeshing.rest
+    waits = 0.0
+    looser = 1
 
     def improve(self, going: Tensor) -> Tensor:
         """Gather in the meshes `going` (B,) bool, which must be valid, as often as it helps; those bettered (B,)."""

@@ -22,22 +22,24 @@ from .triangle import SQRT3, corners, signed_area
 
 # An edge of its size is not worth a vertex that was long in coming.
 _WORTH = 1.2
-# What fewer collapses than this part do in a round waits for the next cut.
-_WAITS = 0.15
-# The last smoothing ends at so many times its tolerance: what comes after is less than vertices that travel on win.
-_LOOSER = 5
 # How often a mesh may try to exchange fewer vertices.
 _TRIES = 4
 
 
 class Relocation(Remeshing):
-    """`Remeshing` that keeps every row, and goes no further than pays: from the fourth cut on, little changes."""
+    """`Remeshing` that keeps every row, and goes no further than pays: from the fourth cut on, little changes.
+
+    waits   what fewer collapses than this part of a cut's do in a round waits for the next cut
+    looser  the last smoothing ends at so many times its tolerance
+    """
 
     rough = 1.06
     shakes = ((0.9, 1.3),)
     # Edges may be half as long again as they should be: better sizes are not worth the time to load scipy.
     accuracy = 1e-3
     few = 40
+    waits = 0.15
+    looser = 5
     rest = SmoothOptions(max_iterations=8, energy_tolerance=1e-3, single=True)
 
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
@@ -73,7 +75,7 @@ class Relocation(Remeshing):
         edge = e.edges()
         wanted = e.per_mesh(edge[e.relative_length(edge) > long])
         wanted = wanted if most is None else torch.minimum(wanted, most)
-        collapses = collapse_rounds(e, self._too_short(e, short), self._harmless, budget=wanted, worth=_WAITS)
+        collapses = collapse_rounds(e, self._too_short(e, short), self._harmless, budget=wanted, worth=self.waits)
         splits = split_rounds(e, self._too_long(e, _WORTH), budget=collapses, room=_freed_rows(triangle_mesh(part)))
         whole = splits == collapses
         unit = spread(centre_and_unit(part.points, part.point_offsets)[1], part.point_offsets)
@@ -87,7 +89,9 @@ class Relocation(Remeshing):
     def _polish(self, going: Tensor) -> None:
         if bool(going.any()):
             smoothing = self.options.smooth
-            self._settle(going, dataclasses.replace(smoothing, energy_tolerance=_LOOSER * smoothing.energy_tolerance))
+            self._settle(
+                going, dataclasses.replace(smoothing, energy_tolerance=self.looser * smoothing.energy_tolerance)
+            )
 
     def _renew(self, going: Tensor, before: MeshBatch, after: MeshBatch) -> None:
         # Vertices take their sizes along: to ask for them anew would cost more than it betters.
