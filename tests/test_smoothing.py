@@ -107,6 +107,19 @@ def test_smoothing_never_inverts_whenever_it_is_stopped(seed, size, power, itera
         assert torch.equal(smoothed.points, start.points)
 
 
+@pytest.mark.parametrize("block", [1, 8, 1000])
+def test_narrow_blocks_change_nothing_but_rounding(block):
+    parts = [make() for make in ROUGH.values()]
+    options = SmoothOptions(max_iterations=12)
+    together, info = smooth(join(parts), options, block=block)
+    usual, _ = smooth(join(parts), options)
+    assert torch.allclose(together.points, usual.points, rtol=0, atol=1e-9)
+    for part, joined, iterations in zip(parts, together.split(), info.iterations, strict=True):
+        alone, own = smooth(part, options, block=block)
+        assert torch.equal(alone.points, joined.points)
+        assert int(own.iterations) == int(iterations)
+
+
 @pytest.mark.parametrize("name", list(meshes.TANGLED))
 def test_a_tangled_mesh_is_refused_and_unmoved(name):
     mesh = meshes.TANGLED[name]()

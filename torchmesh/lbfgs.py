@@ -1,8 +1,8 @@
 """L-BFGS for many small problems at once, each with its own history, step and stopping test.
 
-The unknowns of all problems stand in one vector; each problem owns a whole number of blocks of
-BLOCK numbers (padded with zeros whose gradient is zero), so that the products with the history
-are batched matrix products.  The recursion is the compact representation of Byrd, Nocedal &
+The unknowns of all problems stand in one vector; each problem owns a whole number of blocks, of
+BLOCK numbers or another width (padded with zeros whose gradient is zero), so that the products with
+the history are batched matrix products.  The recursion is the compact representation of Byrd, Nocedal &
 Schnabel (Mathematical Programming 63, 1994): the history is read twice an iteration, and all that
 is small happens in (problems, m, m) tensors, as in the vector-free form of Chen, Wang & Zhou 2014.
 One pass of the loop tries one step of every problem; problems accept or shorten it each for itself.
@@ -19,6 +19,11 @@ from .segments import counts_from_offsets, offsets_from_counts
 from .status import Status
 
 BLOCK = 128
+
+
+def block_width(numbers: int, block_offsets: Tensor) -> int:
+    """The numbers in each block, where blocks (B+1,) are filled with so many in all."""
+    return numbers // max(1, int(block_offsets[-1])) or BLOCK
 
 
 class Objective(Protocol):
@@ -99,7 +104,8 @@ def minimise(
     problems = len(objective.block_offsets) - 1
     rows = torch.arange(problems, device=start.device)
     final = start.clone()
-    final_rows = torch.arange(len(start), device=start.device).reshape(-1, BLOCK)
+    width = block_width(len(start), objective.block_offsets)
+    final_rows = torch.arange(len(start), device=start.device).reshape(-1, width)
     report = {
         name: torch.zeros(problems, dtype=dtype, device=start.device)
         for name, dtype in [("energy", torch.float64), ("gradient", torch.float64), ("iterations", torch.int64),
@@ -132,13 +138,13 @@ def minimise(
 
 
 class _Run:
-    """The state of the problems that are still in the loop: (K, BLOCK) vectors and (B,) numbers.
+    """The state of the problems that are still in the loop: (K, W) vectors and (B,) numbers.
 
     Vectors are in the precision of the start, numbers in double precision; so that no product of single
     precision leaves its range, each problem's energy is counted in a unit of its own.
 
     x, d, t      unknowns, direction in units of `scale`, step
-    past         (K, 2m+1, BLOCK) the last m steps s, their m gradient changes y, the gradient g
+    past         (K, 2m+1, W) the last m steps s, their m gradient changes y, the gradient g
     energy       and descent, its slope along d, in units of 1 / unit
     against      (B, 2m+1) the products of `past` with g: S'g and Y'g by slots, in which pairs replace one another, g'g
     sy           (B, m) s_i'y_i
@@ -153,19 +159,20 @@ class _Run:
     def __init__(self, objective: Objective, start: Tensor, options: LbfgsOptions) -> None:
         self.objective, self.options = objective, options
         m = options.history
-        self.scale = objective.scale.reshape(-1, BLOCK)
-        self.x = start.reshape(-1, BLOCK).clone()
+        width = block_width(len(start), objective.block_offsets)
+        self.scale = objective.scale.reshape(-1, width)
+        self.x = start.reshape(-1, width).clone()
         energy, gradient, done = objective(start)
         finite = energy.isfinite()
         wide = self.scale.to(torch.float64)
         self._index(counts_from_offsets(objective.block_offsets))
         self.free = self._sum((wide > 0).to(wide).sum(1)).clamp_min(1)
-        g = torch.where(self._to_blocks(finite), gradient.reshape(-1, BLOCK) * wide, 0.0)
+        g = torch.where(self._to_blocks(finite), gradient.reshape(-1, width) * wide, 0.0)
         self.unit = _unit((self._sum((g * g).sum(1)) / self.free).sqrt())
         self.tiny = (options.gradient_tolerance * self.unit).square() * self.free
         self.metric = (wide * self._to_blocks(self.unit)).to(start)
         self.energy = energy.to(torch.float64) * self.unit
-        self.past = start.new_zeros((len(self.x), 2 * m + 1, BLOCK))
+        self.past = start.new_zeros((len(self.x), 2 * m + 1, width))
         self.past[:, 2 * m] = g * self._to_blocks(self.unit)
         self.against = self._products()
         self.sy = torch.ones_like(self.against[:, :m])
@@ -229,7 +236,7 @@ class _Run:
         x = torch.addcmul(self.x, move, self.scale)
         energy, gradient, done = self.objective(x.reshape(-1))
         energy = energy * self.unit
-        gradient = gradient.reshape(-1, BLOCK) * self.metric
+        gradient = gradient.reshape(self.x.shape) * self.metric
         change = energy - self.energy
         slope = self.t * self.descent
         possible = running & (change > -torch.inf)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from .energies import Energy, Piece, Target, chunk_borders, energy_and_forces, pieces_of, select_rows
-from .lbfgs import BLOCK
+from .lbfgs import BLOCK, block_width
 from .segments import (
     counts_from_offsets,
     offsets_from_counts,
@@ -98,9 +98,10 @@ def pack(
     point_offsets: Tensor,
     triangle_offsets: Tensor,
     displacements: bool = False,
+    block: int = BLOCK,
 ) -> Packing:
     """Pack the `free` (V,) bool vertices and the triangles that touch them; coordinates in float64, or displacements
-    in float32."""
+    in float32; in blocks of so many."""
     device = points.device
     centre, unit = centre_and_unit(points, point_offsets)
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
@@ -112,14 +113,14 @@ def pack(
         corner = [gather(v, 0, kept) for v in corner]
     vertices = free.nonzero().squeeze(1)
     counts = segment_count(free, point_offsets)
-    blocks = (counts + BLOCK - 1) // BLOCK
+    blocks = (counts + block - 1) // block
     block_offsets = offsets_from_counts(2 * blocks)
     row_offsets = offsets_from_counts(counts)
-    x_rows = spread(block_offsets[:-1] * BLOCK - row_offsets[:-1], row_offsets) + torch.arange(
+    x_rows = spread(block_offsets[:-1] * block - row_offsets[:-1], row_offsets) + torch.arange(
         len(vertices), device=device
     )
-    y_rows = x_rows + spread(blocks * BLOCK, row_offsets)
-    size = int(block_offsets[-1]) * BLOCK
+    y_rows = x_rows + spread(blocks * block, row_offsets)
+    size = int(block_offsets[-1]) * block
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     unknowns = points.new_zeros(size)
     unknowns[x_rows] = gather(x, 0, vertices)
@@ -192,7 +193,7 @@ class MeshObjective:
         blocks = counts_from_offsets(self.block_offsets)
         size = len(self.scale)
         faces = spread(keep, self.triangle_offsets)
-        kept = keep.repeat_interleave(blocks).repeat_interleave(BLOCK)
+        kept = keep.repeat_interleave(blocks).repeat_interleave(block_width(size, self.block_offsets))
         shift = torch.cat([kept.to(torch.int64).cumsum(0) - 1, torch.arange(len(self.anchored), device=kept.device)])
         shift[size:] += int(kept.sum())
         rows = shift[self.rows[:, faces].long()].to(torch.int32)

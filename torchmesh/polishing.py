@@ -94,6 +94,8 @@ _GAIN, _GAIN_OF_RATIO = 0.2, 0.005
 # Where the boundary sets a limit below what is asked, this part of it is enough.
 _OF_LIMIT = 0.95
 _MOST_IN_A_FAN = 24
+# A patch has about eight free vertices.
+_BLOCK = 16
 # Degrees above what is asked for that count: at the threshold itself rounding would tell.
 _MARGIN = 0.1
 
@@ -307,7 +309,7 @@ def _best_of(patches: Patches, level: _Level, options: PolishOptions) -> tuple[M
         complete, seed = (v[ragged_rows(given.point_offsets, of_start)] for v in (patches.complete, patches.seed))
         members, of_member, flipped = every_flip(start, complete, seed if level.near else None)
         patch = of_start[of_member]
-        members, _ = smooth(members, options.smooth)
+        members, _ = smooth(members, options.smooth, block=_BLOCK)
         few = _first_of_each(patch, _Worst.of(members, options), len(given), _FINALISTS, options)
         start, of_start = members.select(few), patch[few]
         found.append(start)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .energies import InverseMeanRatio, equilateral
-from .lbfgs import LbfgsOptions, minimise
+from .lbfgs import BLOCK, LbfgsOptions, minimise
 from .mesh import MeshBatch
 from .packing import MeshObjective, pack
 from .quality import upright
@@ -98,6 +98,7 @@ def smooth(
     free: Tensor | None = None,
     monitor: Monitor | None = None,
     rails: "Rails | None" = None,
+    block: int = BLOCK,
 ) -> tuple[MeshBatch, MoveInfo]:
     """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
 
@@ -108,6 +109,8 @@ def smooth(
     monitor  called with the iteration and the energies of the meshes still running
     rails    curves to slide along, as an earlier call left them (`info.rails`); None: those of
              the mesh as it is, if the options say "slide"
+    block    coordinates of a mesh are padded to a multiple of this: less is faster for meshes of few free vertices;
+             not with rails
     """
     options = options or SmoothOptions()
     refused = segment_any(~upright(batch), batch.triangle_offsets)
@@ -120,7 +123,7 @@ def smooth(
     if free is not None:
         may_move &= free
     single = options.single and rails is None and options.targets is None
-    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single)
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
     objective = MeshObjective(
         InverseMeanRatio(options.power, options.ceiling),
         equilateral(),
