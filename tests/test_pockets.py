@@ -123,6 +123,16 @@ def test_domain_with_holes(how, seed):
     assert_repaired(mesh, untangle_by_pockets(mesh))
 
 
+@pytest.mark.parametrize("how", HOW)
+def test_step_by_step_where_all_at_once_is_refused(how, monkeypatch):
+    rng = np.random.default_rng(5)
+    mesh = tangled(make(*perforated(rng)), how, rng)
+    asked = []
+    monkeypatch.setattr(pockets, "triangulate_with", lambda *_: asked.append(True))
+    assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
+    assert asked
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 40), st.sampled_from(HOW))
 def test_any_star_shaped_polygon(seed, count, how):

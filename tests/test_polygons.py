@@ -14,6 +14,7 @@ from torchmesh.polygons import (
     loop_edges,
     nested_holes,
     triangulate_polygon,
+    triangulate_with,
     turns_left,
     why_not_simple,
     winding,
@@ -46,6 +47,67 @@ def test_proposal_and_exact_construction_triangulate_polygons_with_holes(seed):
     for corners in (_proposed(points, loops), _cut_out(points, loops, np.ones(len(points)))):
         assert is_triangulation_of(points, corners, rim_of(loops))
         assert len(corners) == len(points) - 2 + 2 * (len(loops) - 1)
+
+
+def turned(corners):
+    """The triangles as a set, each from its lowest vertex on."""
+    first = corners.argmin(1)[:, None]
+    return set(map(tuple, np.take_along_axis(corners, (first + np.arange(3)) % 3, 1).tolist()))
+
+
+def star_with_vertices(seed, scale=1.0, offset=0.0):
+    """A star with holes, vertices in and round it, a segment between two of those inside; which are inside."""
+    rng = np.random.default_rng(seed)
+    points, loops = star_with_holes(rng)
+    inner = len(points) + np.arange(60)
+    points = np.concatenate([points, rng.uniform(-1, 1, (60, 2))]) * scale + offset
+    inside = inner[winding(points, inner, rim_of(loops)) == 1]
+    rim = rim_of(loops)
+    pairs = (np.array([[u, v]]) for u, v in itertools.combinations(inside.tolist(), 2))
+    segment = next(pair for pair in pairs if not len(crossing_pairs(points, np.concatenate([rim, pair]))))
+    return points, loops, inner, inside, segment
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (1.0, 1e6), (2.0**-100, 0.0), (2.0**100, 0.0)])
+@pytest.mark.parametrize("seed", range(8))
+def test_all_at_once_is_what_step_by_step_comes_to(seed, scale, offset):
+    points, loops, inner, inside, segment = star_with_vertices(seed, scale, offset)
+    spacing = np.where(np.arange(len(points)) < inner[0], scale, 0.0)
+    made = triangulate_with(points.copy(), loops, spacing.copy(), inner, segment)
+    assert is_triangulation_of(made.points, made.corners, rim_of(loops))
+    assert np.array_equal(np.unique(made.corners), np.sort(np.concatenate([*loops, inside])))
+    assert np.array_equal(made.spacing[inside], np.full(len(inside), scale))
+    locked = made.corners.ravel()[made.locked]
+    assert np.array_equal(np.sort(locked), np.sort(segment[0]))
+    slow = triangulate_polygon(points.copy(), loops, spacing)
+    slow.insert(inside, locate(points, inside, slow.corners))
+    assert slow.recover(segment) is None
+    slow.flip_to_delaunay(np.arange(len(slow.corners)))
+    assert turned(made.corners) == turned(slow.corners)
+
+
+def test_all_at_once_leaves_to_others_what_is_hard():
+    square, none = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.zeros((0, 2), np.int64)
+    loops, spacing = [np.arange(4)], np.ones(6)
+
+    def made(*places):
+        points = np.concatenate([square, places])
+        return triangulate_with(points, loops, spacing[: len(points)].copy(), np.arange(4, len(points)), none)
+
+    assert len(made([0.5, 0.25], [0.25, 0.5]).corners) == 6
+    # Of two in one place the first is in; outside none is.
+    twice = made([0.5, 0.25], [0.5, 0.25])
+    assert np.array_equal(np.unique(twice.corners), np.arange(5))
+    assert np.array_equal(np.unique(made([2.0, 0.5], [0.5, -1e-300]).corners), np.arange(4))
+    # On the rim, or in the place of one of its vertices.
+    assert made([0.0, 0.5]) is None
+    corner = made([0.0, 0.0])
+    assert corner is None or np.array_equal(np.unique(corner.corners), np.arange(4))
+    points = np.concatenate([square, [[0.5, 0.25], [0.5, 0.75]]])
+    # Where fourth powers leave the range of numbers.
+    assert triangulate_with(points * 2.0**600, loops, spacing.copy(), np.array([4, 5]), none) is None
+    crossed = np.array([[0, 5], [3, 4]])
+    assert triangulate_with(points, loops, spacing.copy(), np.array([4, 5]), crossed) is None
 
 
 @pytest.mark.parametrize(

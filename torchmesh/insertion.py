@@ -191,8 +191,16 @@ class Triangulation:
         neighbour z across the line.  That quadrilateral is strictly convex at both (ties go to the
         vertex farther along), w never comes back, so it ends; Sloan 1993 leaves that open.
         """
+        if not len(segments):
+            return None
+        count = len(self.points)
+        there, wanted = (
+            np.minimum(u, v) * count + np.maximum(u, v)
+            for u, v in ((self.corners, self.corners[:, [1, 2, 0]]), segments.T)
+        )
+        self.locked |= np.isin(there.ravel(), wanted)
         exact = _Exact(self.points)
-        for u, v in segments.tolist():
+        for u, v in segments[~np.isin(wanted, there)].tolist():
             obstacle = self._recover(u, v, exact)
             if obstacle:
                 return obstacle

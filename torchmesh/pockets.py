@@ -17,7 +17,15 @@ from . import connectivity
 from .errors import InvalidMeshError
 from .insertion import Obstacle, Triangulation, signs
 from .mesh import MeshBatch, join
-from .polygons import crossing_pairs, locate, loops_of, triangulate_polygon, unit_exponent
+from .polygons import (
+    crossing_pairs,
+    locate,
+    loops_of,
+    triangulate_polygon,
+    triangulate_with,
+    unit_exponent,
+    why_not_simple,
+)
 
 # Of free vertices nearer to each other than this part of the pocket's mean spacing only one stays.
 _CLUSTER = 1e-6
@@ -60,8 +68,8 @@ def retriangulate(mesh: MeshBatch, pocket: Tensor, keep: Tensor | None = None) -
     if pocket.shape != (len(triangles),) or pocket.dtype != torch.bool:
         raise InvalidMeshError(f"pocket must be ({len(triangles)},) bool, not {tuple(pocket.shape)} {pocket.dtype}")
     work = _Work(mesh, keep)
-    for rows in work.pieces(pocket.cpu().numpy()):
-        reason = work.rebuild(rows)
+    for rows, outer in work.pieces(pocket.cpu().numpy()):
+        reason = work.rebuild(rows, outer)
         if reason:
             return _unchanged(mesh, reason)
     result = work.result(mesh)
@@ -189,8 +197,8 @@ class _Work:
             # Rings get dearer with their number; a pocket slightly too large does no harm.
             for _ in range(1 + attempt // 3):
                 wanted = _with_ring(self.triangles, region, wanted)
-            for rows in sorted(self.pieces(wanted), key=len):
-                reason = self.rebuild(rows)
+            for rows, outer in sorted(self.pieces(wanted), key=lambda piece: len(piece[0])):
+                reason = self.rebuild(rows, outer)
                 if reason and len(rows) == size[region[rows[0]]]:
                     reasons.append(reason)
                 if not reason or len(rows) == size[region[rows[0]]]:
@@ -198,26 +206,34 @@ class _Work:
             attempt += 1
         return reasons
 
-    def pieces(self, pocket: np.ndarray) -> list[np.ndarray]:
-        """The rows of each part of `pocket` (T,) bool that is joined by edges and crosses no constrained one."""
-        rows = np.flatnonzero(pocket)
-        label = self._components(rows)
-        order = np.argsort(label, kind="stable")
-        cuts = np.flatnonzero(np.diff(label[order])) + 1
-        return [part for part in np.split(rows[order], cuts) if len(part)]
+    def pieces(self, pocket: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The parts of `pocket` (T,) bool that are joined by edges and cross no constrained one.
 
-    def rebuild(self, rows: np.ndarray) -> str:
-        """New triangles in `rows`, a piece; "" or the reason why not, with nothing changed."""
+        Of each its rows (N,), and which of their half-edges (3N,) bool have no other of the part beyond.
+        """
+        rows = np.flatnonzero(pocket)
+        triangles = torch.from_numpy(self.triangles[rows])
+        ends = triangles.numpy()
+        wall = np.isin(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
+        twin = connectivity.twins(triangles)
+        label = connectivity.triangle_components(triangles, twin, torch.from_numpy(wall)).numpy()
+        beyond = twin.numpy()
+        outer = (beyond < 0).reshape(-1, 3) | (label[beyond // 3].reshape(-1, 3) != label[:, None])
+        order = np.argsort(label, kind="stable")
+        parts = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+        return [(rows[part], outer[part].ravel()) for part in parts if len(part)]
+
+    def rebuild(self, rows: np.ndarray, outer: np.ndarray) -> str:
+        """New triangles in `rows`, a piece with its `outer` half-edges; "" or why not, with nothing changed."""
         piece = self.triangles[rows]
         vertices, local = np.unique(piece, return_inverse=True)
         local = local.reshape(-1, 3)
         ends = np.stack([local.ravel(), np.roll(local, -1, 1).ravel()], 1)
-        outer = connectivity.twins(torch.from_numpy(local)).numpy() < 0
         wall = np.isin(self._keys(*vertices[ends].T), self.walls)
         built = _fill(
             points=self.points[vertices],
             rim=ends[outer],
-            dangling=np.unique(np.sort(ends[wall & ~outer], 1), axis=0),
+            dangling=_edges_of(ends[wall & ~outer]),
             fixed=self.fixed[vertices],
             keep=self.keep[vertices],
             dtype=self.dtype,
@@ -269,14 +285,10 @@ class _Work:
         there = self.triangles[near]
         return self._keys(there.ravel(), np.roll(there, -1, 1).ravel())
 
-    def _components(self, rows: np.ndarray) -> np.ndarray:
-        """Labels of the parts of the triangles `rows` that are joined by edges, walls between."""
-        triangles = torch.from_numpy(self.triangles[rows])
-        ends = triangles.numpy()
-        wall = np.isin(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
-        return connectivity.triangle_components(
-            triangles, connectivity.twins(triangles), torch.from_numpy(wall)
-        ).numpy()
+
+def _edges_of(ends: np.ndarray) -> np.ndarray:
+    """(K, 2) the edges among the half-edges `ends` (N, 2), each once."""
+    return np.unique(np.sort(ends, 1), axis=0) if len(ends) else ends
 
 
 def _fill(
@@ -289,14 +301,45 @@ def _fill(
     Returns the triangles (T, 3), the points, and which moved (V,) bool; or what is in the way.
     """
     loops = loops_of(rim)
-    length = np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1)
-    spacing = np.bincount(rim.ravel(), np.repeat(length, 2), len(points))
+    ends = points[rim]
+    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
     degree = np.bincount(rim.ravel(), minlength=len(points))
-    work = triangulate_polygon(points.copy(), loops, spacing / np.maximum(degree, 1))
+    spacing = np.bincount(rim.ravel(), np.repeat(length, 2), len(points)) / np.maximum(degree, 1)
+    on_rim = degree > 0
+    anchors, free = np.flatnonzero(fixed & ~on_rim), ~fixed & ~on_rim
+    obstacle = why_not_simple(points, loops)
+    if obstacle:
+        return obstacle
+    stay = np.flatnonzero(free & keep)
+    area = 0.5 * float((ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]).sum())
+    # The edge of a square that each had if they shared the area.
+    stay = stay[_scattered(points[stay], _CLUSTER * np.sqrt(abs(area) / max(len(stay), 1)))]
+    work = triangulate_with(points.copy(), loops, spacing, np.concatenate([anchors, stay]), dangling)
+    if work is None or not np.isin(anchors, work.corners).all():
+        built = _step_by_step(points.copy(), loops, spacing, anchors, stay, dangling)
+        if isinstance(built, Obstacle):
+            return built
+        work = built
+    moved = free.copy()
+    moved[work.corners] = False
+    left = work.spread(np.flatnonzero(moved), dtype)
+    if len(left):
+        return Obstacle(f"no room between floating-point numbers for {len(left)} vertices, as {{}}", (int(left[0]),))
+    return work.corners, work.points, moved
+
+
+def _step_by_step(
+    points: np.ndarray,
+    loops: list[np.ndarray],
+    spacing: np.ndarray,
+    anchors: np.ndarray,
+    stay: np.ndarray,
+    dangling: np.ndarray,
+) -> Triangulation | Obstacle:
+    """What `triangulate_with` does, with reasons: all `anchors` (N,), those of `stay` (N,) that can go in."""
+    work = triangulate_polygon(points, loops, spacing)
     if isinstance(work, Obstacle):
         return work
-    on_rim = degree > 0
-    anchors = np.flatnonzero(fixed & ~on_rim)
     refused = _insert(work, anchors)
     if len(refused):
         return Obstacle(
@@ -309,16 +352,8 @@ def _fill(
     obstacle = work.recover(dangling)
     if obstacle is not None:
         return obstacle
-    free = ~fixed & ~on_rim
-    stay = np.flatnonzero(free & keep)
-    stay = stay[_scattered(points[stay], _CLUSTER * _mean_spacing(work, len(stay)))]
-    refused = _insert(work, stay)
-    moved = free.copy()
-    moved[np.setdiff1d(stay, refused)] = False
-    left = work.spread(np.flatnonzero(moved), dtype)
-    if len(left):
-        return Obstacle(f"no room between floating-point numbers for {len(left)} vertices, as {{}}", (int(left[0]),))
-    return work.corners, work.points, moved
+    _insert(work, stay)
+    return work
 
 
 def _insert(work: Triangulation, vertices: np.ndarray) -> np.ndarray:
@@ -333,13 +368,6 @@ def _insert(work: Triangulation, vertices: np.ndarray) -> np.ndarray:
         home = locate(work.points, part, work.corners)
         refused += [part[home < 0], work.insert(part[home >= 0], home[home >= 0])]
     return np.concatenate(refused)
-
-
-def _mean_spacing(work: Triangulation, count: int) -> float:
-    """The edge of a square that each of `count` vertices had if they shared the triangles' area."""
-    a, b, c = (work.points[work.corners[:, i]] for i in range(3))
-    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return float(np.sqrt(np.abs(twice).sum() / 2 / max(count, 1)))
 
 
 def _scattered(points: np.ndarray, distance: float) -> np.ndarray:
