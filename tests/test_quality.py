@@ -8,7 +8,9 @@ import torch
 from exact import double_areas, inverted
 
 from torchmesh import MeshBatch, join, minimum_angle, quality
+from torchmesh.predicates import orientation
 from torchmesh.quality import upright
+from torchmesh.triangle import corners, inverse_mean_ratio, signed_area
 
 ALL = meshes.VALID | meshes.TANGLED
 
@@ -26,6 +28,18 @@ def plain(mesh):
         return np.degrees(np.arccos((u * v).sum(1) / np.linalg.norm(u, axis=1) / np.linalg.norm(v, axis=1)))
 
     return area, ratio, np.min([angle(a, b, c), angle(b, c, a), angle(c, a, b)], axis=0)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-160, 1e150])
+def test_quality_is_that_of_the_single_formulas_to_the_bit(scale):
+    mesh = join([make() for make in ALL.values()])
+    points = mesh.points * scale
+    points[mesh.triangles[:20, 1]] = points[mesh.triangles[:20, 0]]
+    q, t = quality(mesh.with_points(points)), corners(points, mesh.triangles)
+    assert torch.equal(q.area, signed_area(t))
+    assert torch.equal(q.inverse_mean_ratio, inverse_mean_ratio(t))
+    assert torch.equal(q.upright, orientation(*t) > 0)
+    assert bool(q.inverse_mean_ratio.isinf().any())
 
 
 @pytest.mark.parametrize("name", list(ALL))

@@ -5,7 +5,7 @@ Geometric Predicates, 1997) decides nearly all rows; the few it cannot decide ar
 integers of any length.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -22,8 +22,12 @@ def orientation(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: 
     """(N,) int8 sign of twice the signed area of abc: 1 counter-clockwise, -1 clockwise, 0 flat."""
     rows = [v.to(torch.float64) for v in (ax, ay, bx, by, cx, cy)]
     ax, ay, bx, by, cx, cy = rows
-    left, right = (bx - ax) * (cy - ay), (by - ay) * (cx - ax)
-    return _decide(left - right, left.abs() + right.abs(), _ORIENTATION_BOUND, rows, _exact_orientation)
+    return orientation_by_products((bx - ax) * (cy - ay), (by - ay) * (cx - ax), rows)
+
+
+def orientation_by_products(left: Tensor, right: Tensor, rows: Sequence[Tensor]) -> Tensor:
+    """As `orientation` of `rows`, float64, where (bx - ax) (cy - ay) and (by - ay) (cx - ax) are at hand."""
+    return _decide(left - right, left.abs().add_(right.abs()), _ORIENTATION_BOUND, rows, _exact_orientation)
 
 
 def incircle(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
@@ -44,7 +48,7 @@ def _decide(
     determinant: Tensor,
     magnitude: Tensor,
     bound: float,
-    rows: list[Tensor],
+    rows: Sequence[Tensor],
     exact: Callable[[list[Tensor]], Tensor],
 ) -> Tensor:
     """(N,) int8 sign of the determinant: its own where rounding cannot change it, else that of `exact`."""

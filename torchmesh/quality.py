@@ -8,9 +8,9 @@ from torch import Tensor
 
 from . import triangle
 from .mesh import MeshBatch, touching
-from .predicates import orientation
+from .predicates import orientation, orientation_by_products
 from .segments import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
-from .triangle import corners, inverse_mean_ratio, signed_area
+from .triangle import corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +56,35 @@ def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) ->
 
 
 def _measure(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """(T,) area, inverse mean ratio, and whether upright by exact sign."""
+    """(T,) area, inverse mean ratio, and whether upright by exact sign.
+
+    As `signed_area`, `inverse_mean_ratio` and `orientation` have them, to the bit: what they share is computed once.
+    """
     t = corners(points.to(torch.float64), triangles)
-    return signed_area(t), inverse_mean_ratio(t), orientation(*t) > 0
+    abx, aby, acx, acy = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
+    left, right = abx * acy, aby * acx
+    area = 0.5 * (left - right)
+    size = area.abs()
+    squares = abx.square().add_(aby.square()).add_((t.cx - t.bx).square().add_((t.cy - t.by).square()))
+    squares.add_(acx.square().add_(acy.square()))
+    ratio = torch.where(size > 0, squares / (4 * triangle.SQRT3 * torch.where(size > 0, size, 1.0)), torch.inf)
+    return area, ratio, orientation_by_products(left, right, t) > 0
 
 
 def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
-    """The triangles that have other corners than before, or whose corners moved; None: there are others altogether."""
+    """The triangles that have other corners than before, or whose corners moved; None: most, or others altogether."""
     for old, new in ((before.point_offsets, after.point_offsets), (before.triangle_offsets, after.triangle_offsets)):
         if old is not new and not torch.equal(old, new):
             return None
     changed = torch.zeros(len(after.triangles), dtype=torch.bool, device=after.triangles.device)
+    if after.points is not before.points:
+        moved = (before.points[:, 0] != after.points[:, 0]) | (before.points[:, 1] != after.points[:, 1])
+        if 2 * int(moved.sum()) > len(moved):
+            return None
+        changed |= touching(after, moved)
     if after.triangles is not before.triangles:
         for old, new in zip(before.triangles.unbind(1), after.triangles.unbind(1), strict=True):
             changed |= old != new
-    if after.points is not before.points:
-        stays = (before.points[:, 0] == after.points[:, 0]) & (before.points[:, 1] == after.points[:, 1])
-        changed |= touching(after, ~stays)
     return changed.nonzero().squeeze(1)
 
 
