@@ -27,7 +27,7 @@ _TRIES = 4
 
 
 class Relocation(Remeshing):
-    """`Remeshing` that keeps every row, and goes no further than pays: from the fourth cut on, little changes.
+    """`Remeshing` that keeps every row, and goes no further than pays: after the third cut, little changes.
 
     waits   what fewer collapses than this part of a cut's do in a round waits for the next cut
     looser  the last smoothing ends at so many times its tolerance
@@ -37,7 +37,7 @@ class Relocation(Remeshing):
     shakes = ((0.9, 1.3),)
     # Edges may be half as long again as they should be: better sizes are not worth the time to load scipy.
     accuracy = 1e-3
-    few = 40
+    few = 30
     waits = 0.15
     looser = 5
     rest = SmoothOptions(max_iterations=8, energy_tolerance=1e-3, single=True)
