@@ -17,7 +17,8 @@ def sewing(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, piece: np
 
     Not sewn is what would give a triangle twice the same corner, or an edge three triangles.
     """
-    vertices, place = np.unique(rim), np.full(len(points), -1)
+    # np.unique would sort, and load numpy.ma.
+    vertices, place = np.flatnonzero(np.bincount(rim.reshape(-1))), np.full(len(points), -1)
     order = vertices[np.lexsort((points[vertices, 1], points[vertices, 0], piece[vertices]))]
     new = (points[order[1:]] != points[order[:-1]]).any(1) | (piece[order[1:]] != piece[order[:-1]])
     if new.all():
