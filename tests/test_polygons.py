@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from torchmesh.insertion import Obstacle, Triangulation, signs
+from torchmesh.insertion import Obstacle, Triangulation, among, distinct, signs
 from torchmesh.polygons import (
     _cut_out,
     _proposed,
@@ -47,6 +47,15 @@ def test_proposal_and_exact_construction_triangulate_polygons_with_holes(seed):
     for corners in (_proposed(points, loops), _cut_out(points, loops, np.ones(len(points)))):
         assert is_triangulation_of(points, corners, rim_of(loops))
         assert len(corners) == len(points) - 2 + 2 * (len(loops) - 1)
+
+
+@pytest.mark.parametrize("size", [0, 1, 7, 300])
+def test_distinct_and_among_are_what_numpy_has(size):
+    rng = np.random.default_rng(size)
+    values, others = rng.integers(-20, 20, size), rng.integers(-20, 20, (5, 2))
+    assert np.array_equal(distinct(values), np.unique(values))
+    assert np.array_equal(among(values, others), np.isin(values, others))
+    assert np.array_equal(among(others, values), np.isin(others, values))
 
 
 def turned(corners):

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from . import connectivity
-from .insertion import signs
+from .insertion import among, distinct, signs
 from .mesh import MeshBatch
 from .obstructions import fallen_fixed_triangles, vertices_without_kernel
 from .polygons import crossing_pairs, loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
@@ -283,7 +283,8 @@ def _nestings(
     corners = np.flatnonzero(fixed[faces])
     vertex, of_corner = faces.ravel()[corners], of_face[corners // 3]
     doubtful = of_vertex[vertex] != of_corner
-    inside = np.setdiff1d((vertex + count * of_corner)[doubtful], named)
+    inside = distinct((vertex + count * of_corner)[doubtful])
+    inside = inside[~among(inside, named)]
     anchors = {int(keys[0]) // count: keys % count for keys in _runs(inside, inside // count)}
     for region in np.flatnonzero(np.bincount(of_face)).tolist():
         rows = mine.get(region, [])
@@ -315,7 +316,7 @@ def _nesting(points: np.ndarray, loops: list[np.ndarray], turn: np.ndarray, insi
     for i, hole in enumerate(loops):
         if i == outer_row:
             continue
-        alone = hole[~np.isin(hole, outer)]
+        alone = hole[~among(hole, outer)]
         at = alone[:1] if len(alone) else hole[:1]
         place = _at(points[at[0]])
         if turn[i] > 0:

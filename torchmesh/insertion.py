@@ -49,6 +49,20 @@ def signs(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np
     return sign
 
 
+def distinct(values: np.ndarray) -> np.ndarray:
+    """(N,) the different `values`, ascending.  As np.unique, which loads numpy.ma first."""
+    values = np.sort(values, axis=None)
+    return values[np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))] if len(values) else values
+
+
+def among(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Bool, as `values`: is it one of `others` (N,)?  As np.isin, which may load numpy.ma, too."""
+    if not others.size:
+        return np.zeros(values.shape, bool)
+    known = np.sort(others, axis=None)
+    return np.asarray(known[np.minimum(np.searchsorted(known, values), len(known) - 1)] == values)
+
+
 def following(h: np.ndarray) -> np.ndarray:
     """The half-edge after h in its triangle."""
     return np.where(h % 3 == 2, h - 2, h + 1)
@@ -198,9 +212,9 @@ class Triangulation:
             np.minimum(u, v) * count + np.maximum(u, v)
             for u, v in ((self.corners, self.corners[:, [1, 2, 0]]), segments.T)
         )
-        self.locked |= np.isin(there.ravel(), wanted)
+        self.locked |= among(there.ravel(), wanted)
         exact = _Exact(self.points)
-        for u, v in segments[~np.isin(wanted, there)].tolist():
+        for u, v in segments[~among(wanted, there)].tolist():
             obstacle = self._recover(u, v, exact)
             if obstacle:
                 return obstacle
@@ -223,7 +237,7 @@ class Triangulation:
             self._flip(np.array([h]))
         flat = self.corners.ravel()
         spokes = np.flatnonzero((flat == u) | (flat == v))
-        self.locked[spokes[np.isin(flat[following(spokes)], (u, v))]] = True
+        self.locked[spokes[among(flat[following(spokes)], np.array([u, v]))]] = True
         return None
 
     def _crossed(self, u: int, v: int, exact: "_Exact") -> tuple[list[int], Obstacle | None]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from . import connectivity
 from .errors import InvalidMeshError
-from .insertion import Obstacle, Triangulation, signs
+from .insertion import Obstacle, Triangulation, among, distinct, signs
 from .mesh import MeshBatch, join
 from .polygons import (
     crossing_pairs,
@@ -214,7 +214,7 @@ class _Work:
         rows = np.flatnonzero(pocket)
         triangles = torch.from_numpy(self.triangles[rows])
         ends = triangles.numpy()
-        wall = np.isin(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
+        wall = among(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
         twin = connectivity.twins(triangles)
         label = connectivity.triangle_components(triangles, twin, torch.from_numpy(wall)).numpy()
         beyond = twin.numpy()
@@ -229,7 +229,7 @@ class _Work:
         vertices, local = np.unique(piece, return_inverse=True)
         local = local.reshape(-1, 3)
         ends = np.stack([local.ravel(), np.roll(local, -1, 1).ravel()], 1)
-        wall = np.isin(self._keys(*vertices[ends].T), self.walls)
+        wall = among(self._keys(*vertices[ends].T), self.walls)
         built = _fill(
             points=self.points[vertices],
             rim=ends[outer],
@@ -247,10 +247,9 @@ class _Work:
         on_rim = np.zeros(len(vertices), bool)
         on_rim[ends[outer]] = True
         sides = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)
-        chords = np.setdiff1d(
-            self._keys(*vertices[sides[on_rim[sides].all(1)]].T), self._keys(*vertices[ends[outer]].T)
-        )
-        taken = chords[np.isin(chords, self._keys_outside(rows, vertices[on_rim]))] if len(chords) else chords
+        chords = distinct(self._keys(*vertices[sides[on_rim[sides].all(1)]].T))
+        chords = chords[~among(chords, self._keys(*vertices[ends[outer]].T))]
+        taken = chords[among(chords, self._keys_outside(rows, vertices[on_rim]))] if len(chords) else chords
         if len(taken):
             return f"the edge {divmod(int(taken[0]), len(self.points))} exists outside the pocket already"
         self.triangles[rows] = vertices[corners]
@@ -315,7 +314,7 @@ def _fill(
     # The edge of a square that each had if they shared the area.
     stay = stay[_scattered(points[stay], _CLUSTER * np.sqrt(abs(area) / max(len(stay), 1)))]
     work = triangulate_with(points.copy(), loops, spacing, np.concatenate([anchors, stay]), dangling)
-    if work is None or not np.isin(anchors, work.corners).all():
+    if work is None or not among(anchors, work.corners).all():
         built = _step_by_step(points.copy(), loops, spacing, anchors, stay, dangling)
         if isinstance(built, Obstacle):
             return built
@@ -383,7 +382,7 @@ def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) ->
     """`wanted` (T,) bool and the triangles of the same region that share a vertex with them."""
     if region.any():
         keys = triangles * (region.max() + 1) + region[:, None]
-        return np.asarray(np.isin(keys, keys[wanted]).any(1))
+        return np.asarray(among(keys, keys[wanted]).any(1))
     corners = [np.ascontiguousarray(v) for v in triangles.T]
     mark = np.zeros(int(triangles.max(initial=0)) + 1, bool)
     for v in corners:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from .connectivity import boundary_loops
-from .insertion import Obstacle, Triangulation, signs
+from .insertion import Obstacle, Triangulation, among, distinct, signs
 
 # Rows of a vertices-times-edges table worked on at once.
 _CHUNK = 2_000_000
@@ -221,7 +221,7 @@ def nested_holes(points: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarra
 
 def _one_not_in(loop: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(1,) a vertex of `loop` that `other` does not pass; its first if it passes them all."""
-    alone = loop[~np.isin(loop, other)]
+    alone = loop[~among(loop, other)]
     return alone[:1] if len(alone) else loop[:1]
 
 
@@ -341,7 +341,7 @@ def _spread_inward(spacing: np.ndarray, corners: np.ndarray, rim: np.ndarray) ->
 def _cut_out(points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray) -> np.ndarray | Obstacle:
     """(T, 3) the same by exact steps only: a big triangle, the vertices, the rim, and what is on its left."""
     rim = np.concatenate([loop_edges(loop) for loop in loops])
-    vertices = np.unique(rim)
+    vertices = distinct(rim)
     more, big = _with_big_triangle(points, vertices)
     work = Triangulation(more, big[None], np.zeros(len(more)))
     refused = work.insert(vertices, np.zeros(len(vertices), np.int64))
@@ -366,11 +366,11 @@ def _enclosed(work: Triangulation, rim: np.ndarray) -> np.ndarray:
     count = len(work.points)
     keys = work.corners.ravel() * count + work.corners[:, [1, 2, 0]].ravel()
     inside = np.zeros(len(work.corners), bool)
-    front = np.flatnonzero(np.isin(keys, rim[:, 0] * count + rim[:, 1])) // 3
+    front = np.flatnonzero(among(keys, rim[:, 0] * count + rim[:, 1])) // 3
     while len(front):
         inside[front] = True
         h = (3 * front[:, None] + np.arange(3)).ravel()
-        front = np.unique(work.twin[h[~work.locked[h]]] // 3)
+        front = distinct(work.twin[h[~work.locked[h]]] // 3)
         front = front[(front >= 0) & ~inside[front]]
     return work.corners[inside]
 
