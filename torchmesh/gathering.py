@@ -145,7 +145,7 @@ def _distance(points: Tensor, x: Tensor, y: Tensor) -> Tensor:
 class Gathering(Relocation):
     """`Relocation` towards sizes that grow from a few places, as thorough as `Remeshing`: such meshes are few."""
 
-    few, rest = Remeshing.few, Remeshing.rest
+    rest = Remeshing.rest
     waits = 0.0
     looser = 1
 

@@ -13,6 +13,7 @@ from .collapsing import collapse_rounds
 from .editing import Editable
 from .mesh import MeshBatch, put, triangle_mesh
 from .packing import centre_and_unit
+from .quality import Quality
 from .remesh_options import RemeshOptions
 from .remeshing import Remeshing, editable
 from .segments import counts_from_offsets, segment_sum, spread
@@ -22,12 +23,14 @@ from .triangle import SQRT3, corners, signed_area
 
 # An edge of its size is not worth a vertex that was long in coming.
 _WORTH = 1.2
+# A mesh of good shapes is done when fewer than one edge is split or collapsed for so many triangles.
+_FEW = 30
 # How often a mesh may try to exchange fewer vertices.
 _TRIES = 4
 
 
 class Relocation(Remeshing):
-    """`Remeshing` that keeps every row, and goes no further than pays: after the third cut, little changes.
+    """`Remeshing` that keeps every row, and goes no further than pays: after the third cut, little changes in most.
 
     waits   what fewer collapses than this part of a cut's do in a round waits for the next cut
     looser  the last smoothing ends at so many times its tolerance
@@ -37,7 +40,6 @@ class Relocation(Remeshing):
     shakes = ((0.9, 1.3),)
     # Edges may be half as long again as they should be: better sizes are not worth the time to load scipy.
     accuracy = 1e-3
-    few = 30
     waits = 0.15
     looser = 5
     rest = SmoothOptions(max_iterations=8, energy_tolerance=1e-3, single=True)
@@ -61,6 +63,10 @@ class Relocation(Remeshing):
         self.splits += changed // 2
         self.collapses += changed // 2
         return changed
+
+    def _few(self, changed: Tensor, now: Quality) -> Tensor:
+        few = _FEW * changed <= counts_from_offsets(self.batch.triangle_offsets)
+        return (few & (now.mean <= self.rough)) | super()._few(changed, now)
 
     def _exchange_vertices(
         self, going: Tensor, short: float, long: float, most: Tensor | None

@@ -28,6 +28,8 @@ from .splitting import Wish as SplitWish
 from .splitting import split_rounds, worst_after
 from .targets import MetricField
 
+# A mesh is done when fewer than one edge is split or collapsed for so many triangles.
+_FEW = 500
 # A lower mean is worth a maximum that is this much higher: it hangs on one triangle.
 _SLACK = 1.02
 # The last smoothing brings maxima below its ceiling that are this much above it.
@@ -71,14 +73,12 @@ class Remeshing:
     rough     above this mean inverse mean ratio a mesh may be stuck in rows, and is shaken up:
     shakes    its edges shorter and longer than these parts of their size go, once for each pair
     accuracy  with which sizes are continued inwards, as in `size_field`
-    few       a mesh is done when fewer than one edge is split or collapsed for so many triangles
     rest      the smoothing between rounds
     """
 
     rough = 1.025
     shakes: tuple[tuple[float, float], ...] = ((0.75, 1.5), (0.8, 1.4), (1.0, 1.2))
     accuracy: float | None = None
-    few = 500
     rest = SmoothOptions(max_iterations=15, energy_tolerance=1e-3, single=True)
 
     def __init__(self, batch: MeshBatch, options: RemeshOptions) -> None:
@@ -136,10 +136,14 @@ class Remeshing:
             self._settle(going, self.rest)
             self.rounds[going] += 1
             now = self._quality()
-            few = self.few * changed <= counts_from_offsets(self.batch.triangle_offsets)
+            few = self._few(changed, now)
             stuck = (before.mean - now.mean < 1e-4) & (before.max - now.max < 1e-3 * now.max)
             going = going & ~few & ~(stuck & (turn > 0))
             before = now
+
+    def _few(self, changed: Tensor, now: Quality) -> Tensor:
+        """(B,) bool: did so few edges change, (B,) in meshes that are `now` so good, that to go on is not worth it?"""
+        return _FEW * changed <= counts_from_offsets(self.batch.triangle_offsets)
 
     def fields(self) -> list[Tensor]:
         """What each vertex has: the size wanted, its name, and its metric, if there is one."""
