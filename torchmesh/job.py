@@ -81,6 +81,7 @@ class Job:
         self.targets = as_targets(options.smooth.targets)
         self.quality = quality(batch)
         self._twin: Tensor | None = None
+        self._given_twin: Tensor | None = None
         self.remeshed: RemeshInfo | None = None
         # (V,) the sizes that were asked for and have travelled with the vertices of the valid meshes.
         self.relocated_sizes: Tensor | None = None
@@ -133,7 +134,8 @@ class Job:
         meshes = at.nonzero().squeeze(1).tolist()
         found: dict[int, list[str]] = {}
         may_change: Literal["keep", "flip"] = "keep" if self.options.topology == "keep" else "flip"
-        for problem in diagnose(self.batch.select(at), may_change):
+        twin = None if self.options.topology == "keep" else self._twins(at)
+        for problem in diagnose(self.batch.select(at), may_change, twin=twin):
             found.setdefault(meshes[problem.mesh], []).append(problem.message)
         for b, texts in found.items():
             self.status[b] = Status.INFEASIBLE
@@ -286,8 +288,9 @@ class Job:
         valid = self.quality.inverted == 0
         messages = [self._message(b, Status(status)) for b, status in enumerate(self.status.tolist())]
         certified = valid & same_frame(
-            self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map
-        )
+            self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map,
+            self._given_twin,
+        )  # fmt: skip
         return Report(
             self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed,
             self._conformity(),
@@ -331,6 +334,7 @@ class Job:
         """The twins of the meshes `at`, sorted out once and then kept up to date by the flips."""
         if self._twin is None:
             self._twin = connectivity.twins(self.batch.triangles)
+            self._given_twin = self._twin if self.batch is self.given else self._given_twin
         return select_twins(self.batch, self._twin, at)
 
     def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> Tensor:
@@ -374,13 +378,11 @@ class Job:
             better = quality(part).inverted < self.quality.inverted[at]
             self.obstacles.update(zip(at.nonzero().squeeze(1).tolist(), getattr(info, "reasons", ()), strict=False))
             now = self.batch.select(at)
-            done(
-                put(now, better, part.select(better)) if bool(better.any()) else now,
-                iterations=getattr(info, "iterations", None),
-                pockets=getattr(info, "pockets", None),
-                kept=better,
-            )
-            self._twin = None
+            part = put(now, better, part.select(better)) if bool(better.any()) else now
+            if not torch.equal(part.triangles, now.triangles):
+                self._twin = None
+            iterations, pockets = (getattr(info, name, None) for name in ("iterations", "pockets"))
+            done(part, iterations=iterations, pockets=pockets, kept=better)
 
     def _regularised(self, origin: MeshBatch, options: UntangleOptions, among: Tensor | None = None) -> None:
         reference = self.options.reference
