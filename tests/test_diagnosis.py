@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchmesh.connectivity import twins
 from torchmesh.diagnosis import ProblemKind, diagnose
 from torchmesh.mesh import MeshBatch, join
 from torchmesh.pipeline import improve
@@ -171,6 +172,22 @@ def test_batch_names_the_mesh():
     problems = diagnose(join([good, MeshBatch.from_arrays(points, triangles), good]))
     assert {p.mesh for p in problems} == {1}
     assert max(max(p.vertices) for p in problems) < len(points)
+
+
+def test_twins_that_are_known_change_nothing(monkeypatch):
+    points, triangles, index = grid(6)
+    tangled = points.copy()
+    tangled[index[3, 3]] += 0.3
+    crossed = tangled.copy()
+    crossed[[index[0, 1], index[0, 4]]] = crossed[[index[0, 4], index[0, 1]]]
+    parts = [MeshBatch.from_arrays(points, triangles).with_points(torch.from_numpy(p)) for p in (tangled, crossed)]
+    batch = join([*parts, parts[0]])
+    twin, found = twins(batch.triangles), diagnose(batch)
+    assert {problem.mesh for problem in found} == {1}
+    assert diagnose(batch, twin=twin) == found
+    sound, own = join([parts[0], parts[0]]), twins(join([parts[0], parts[0]]).triangles)
+    monkeypatch.setattr("torchmesh.connectivity.twins", lambda *_: pytest.fail("the twins were known"))
+    assert diagnose(sound, twin=own) == []
 
 
 def test_a_hundred_thousand_triangles_take_less_than_a_second():
