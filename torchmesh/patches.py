@@ -11,7 +11,7 @@ from torch import Tensor
 from .connectivity import next_in_triangle, previous_in_triangle, twins
 from .delaunay import constrained_half_edges
 from .flipping import Quads, edge_exists, new_signs
-from .mesh import MeshBatch, triangle_mesh
+from .mesh import MeshBatch, join, triangle_mesh
 from .segments import counts_from_offsets, offsets_from_counts, spread
 
 
@@ -84,6 +84,12 @@ class Patches:
         seed = torch.zeros(count, dtype=torch.bool, device=seeds.device)
         seed[part.triangles[seeds]] = True
         return cls(mesh, vertices, faces, mine & complete[vertices], seed[vertices] & mine)
+
+    @classmethod
+    def together(cls, patches: list["Patches"]) -> "Patches":
+        """All of them; those of different lists may be in touch."""
+        names = ("vertices", "faces", "complete", "seed")
+        return cls(join([p.mesh for p in patches]), *(torch.cat([getattr(p, n) for p in patches]) for n in names))
 
 
 def every_flip(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple[MeshBatch, Tensor, Tensor]:

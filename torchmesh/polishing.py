@@ -1,8 +1,8 @@
 """The worst triangles of a valid mesh, each with its neighbourhood, worst first.
 
-        bad triangles --> patches, no two in touch --> every single flip of every patch, as a batch
-             ^                                          of small meshes, each smoothed for its worst
-             +---- the best of each patch goes back ----------------------+
+        bad triangles --> patches round them --> every single flip of every patch, as a batch
+             ^                                    of small meshes, each smoothed for its worst
+             +---- the best of each goes back, of patches in touch the worst one's ----+
 
 Flips and smoothing by the sum over a mesh end where no single flip lowers that sum; a flip that
 makes its two triangles worse, and the whole patch better once its vertices have moved, they never try.  Local
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from . import triangle
 from .connectivity import next_in_triangle, twins
-from .mesh import MeshBatch, corners_of, join, touching, triangle_mesh
+from .mesh import MeshBatch, corners_of, join, surroundings, touching, triangle_mesh
 from .patches import Patches, every_flip, picked, ragged_rows, seeds_of
 from .quality import Quality, quality
 from .segments import (
@@ -87,6 +87,8 @@ class _Level(NamedTuple):
 
 
 _LEVELS = (_Level(2, 1, True, (8, 0.01)), _Level(3, 2, True, (6, 0.001)), _Level(3, 2, False, (2, 0.0)))
+# Patches one triangle may be in that are tried at once.
+_GROUPS = 6
 # First flips of a patch that are followed by a second.
 _FINALISTS = 4
 # Degrees that a patch must win to be worth a round, and as much of the inverse mean ratio.
@@ -205,15 +207,24 @@ class _Polishing:
                 bad &= ~self.stuck
             if not bool(bad.any()):
                 break
-            self._round(seeds_of(self.part, bad, angle, 2 * level.rings), level)
+            # What the first round leaves is tried in vain most times: patches in touch, too, at once.
+            self._round(bad, angle, level, _GROUPS if turn or level is not _LEVELS[0] else 1)
 
-    def _round(self, seeds: Tensor, level: _Level) -> None:
-        part = self.part
-        patches = Patches.cut_out(part, seeds, level.rings, self.complete)
+    def _round(self, bad: Tensor, angle: Tensor, level: _Level, most: int) -> None:
+        part, apart = self.part, 2 * level.rings
+        left, groups = bad.clone(), []
+        while bool(left.any()) and len(groups) < most:
+            seeds = seeds_of(part, left, angle, apart)
+            groups.append((seeds, Patches.cut_out(part, seeds, level.rings, self.complete)))
+            left[seeds] = False
+        seeds, patches = torch.cat([seeds for seeds, _ in groups]), Patches.together([cut for _, cut in groups])
         given = patches.mesh
         best, flips = _best_of(patches, level, self.options)
         before, after = (_Worst.of(mesh, self.options) for mesh in (given, best))
         good = after.betters(before, self.options)
+        self.stuck[seeds[~good]] = True
+        bettered = torch.zeros_like(bad).index_fill_(0, seeds[good], True)
+        good &= torch.isin(seeds, seeds_of(part, bettered, angle, apart))
         # Back into their rows: vertices that do not move stand in more than one patch.
         rows = spread(good, given.point_offsets) & ~given.fixed
         faces = spread(good, given.triangle_offsets)
@@ -221,8 +232,8 @@ class _Polishing:
         points[patches.vertices[rows]] = best.points[rows]
         triangles[patches.faces[faces]] = patches.vertices[best.triangles[faces]]
         self.part = replace(part, points=points, triangles=triangles)
-        self.stuck[seeds[~good]] = True
-        self.stuck[patches.faces[faces]] = False
+        changed = torch.zeros_like(bad).index_fill_(0, patches.faces[faces], True)
+        self.stuck &= ~touching(part, surroundings(part, changed, level.rings))
         owner = triangle_mesh(part)[seeds[good]]
         self.patches += torch.bincount(owner, minlength=len(part))
         self.flips.index_add_(0, owner, flips[good])
