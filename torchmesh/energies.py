@@ -74,10 +74,10 @@ class Energy(Protocol):
 
 def whole_power(x: Tensor, power: int) -> Tensor:
     """x^power, power >= 1, by products: the bits of a general power depend on where in a vector a number is."""
-    product = x
-    for _ in range(power - 1):
-        product = product * x
-    return product
+    if power == 1:
+        return x
+    square = whole_power(x * x, power // 2)
+    return square * x if power % 2 else square
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,7 @@ class InverseMeanRatio:
         # A det that is not positive becomes tiny: its phi overflows the line search's test.
         inverse = det.clamp_min(1e-160 if det.dtype == torch.float64 else 1e-30).reciprocal_()
         ratio = (stretch * inverse).mul_(0.5)
-        # Repeated products: the bits of a general power depend on where in a vector a number stands.
-        lower = ratio if self.power > 1 else torch.ones_like(ratio)
-        for _ in range(self.power - 2):
-            lower = lower * ratio
+        lower = whole_power(ratio, self.power - 1) if self.power > 1 else torch.ones_like(ratio)
         phi = lower * ratio
         # Half of d phi / d q; the other half is that of d q / d stretch = inverse / 2.
         half = lower if self.power == 2 else (0.5 * self.power) * lower

@@ -212,7 +212,8 @@ class _Polishing:
 
     def _round(self, bad: Tensor, angle: Tensor, level: _Level, most: int) -> None:
         part, apart = self.part, 2 * level.rings
-        left, groups = bad.clone(), []
+        left = bad.clone()
+        groups: list[tuple[Tensor, Patches]] = []
         while bool(left.any()) and len(groups) < most:
             seeds = seeds_of(part, left, angle, apart)
             groups.append((seeds, Patches.cut_out(part, seeds, level.rings, self.complete)))
