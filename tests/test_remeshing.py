@@ -322,6 +322,24 @@ def test_a_crowd_is_thinned_in_few_rounds():
     assert_same_domain(mesh, finished(mesh, e))
 
 
+def test_what_a_mesh_collapses_does_not_depend_on_what_stands_after_it():
+    def thinned(mesh):
+        e, _ = editing(mesh, 0.3)
+
+        def wish(h):
+            ratio = e.relative_length(h)
+            return torch.where(ratio < 0.9, ratio, torch.inf)
+
+        collapse_rounds(e, wish, lambda o: (o.after < 1.6) & (o.longest < 1.5))
+        return finished(mesh, e)
+
+    for seed in range(30, 40):
+        mesh = random_valid(seed)
+        alone, joined = thinned(mesh), thinned(tm.join([mesh, random_valid(seed + 1000)])).split()[0]
+        assert torch.equal(alone.points, joined.points)
+        assert torch.equal(alone.triangles, joined.triangles)
+
+
 # --- remesh ---
 
 

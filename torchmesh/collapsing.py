@@ -148,6 +148,7 @@ def collapse_rounds(
     going = torch.ones_like(total, dtype=torch.bool) if budget is None else budget > 0
     # Half-edges (the lower of each edge) that were refused, and round which nothing has changed since.
     asleep = torch.zeros(len(e.twin), dtype=torch.bool, device=e.x.device)
+    every = torch.arange(len(e.twin), device=e.x.device)
     for _ in range(max_rounds):
         edge = e.edges()
         edge = edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]]
@@ -175,7 +176,7 @@ def collapse_rounds(
         touched[claims[claims >= 0]] = True
         done = e.per_mesh(h[rows])
         collapse(e, h[rows])
-        asleep &= ~touched[e.vertex.clamp_min(0)] & ~touched[e.vertex[e.twin]]
+        asleep &= ~touched[e.vertex.clamp_min(0)] & ~touched[e.head(every).clamp_min(0)]
         total += done
         going = going & (done >= worth * total)
         if budget is not None:
