@@ -219,6 +219,7 @@ def flip_rounds(
 
     The log is (F,) int64, the lower-numbered triangle of each flip, for counting them per mesh.
     """
+    gather = torch.index_select
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     vertex, twin, locked = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
     moved = torch.arange(len(vertex), device=vertex.device)
@@ -237,17 +238,16 @@ def flip_rounds(
         if not len(h):
             break
         # Equal ranks stay in the order of their index: h ascends and the sort is stable.
-        h = h[rank.argsort(descending=True, stable=True)]
+        h = gather(h, 0, rank.argsort(descending=True, stable=True))
         chosen = _first_in_both(h, twin, best)
-        chosen &= _first_of_its_key(vertex, twin, h, chosen)
+        chosen &= _first_of_its_key(vertex, twin, before, h, chosen)
         flipped, left = h[chosen], h[~chosen]
-        log.append(torch.minimum(flipped // 3, twin[flipped] // 3))
-        g = twin[flipped]
-        _flip(vertex, twin, locked, moved, flipped, g, once)
-        outer = torch.cat([flipped, before[flipped], g, before[g]])
-        queue = _canonical(torch.cat([moved[left], moved[barred], outer]), twin)
-        for h_slot in (next_in_triangle(flipped), next_in_triangle(g)):
-            moved[h_slot] = h_slot
+        both = torch.cat([flipped, gather(twin, 0, flipped)])
+        log.append((both // 3).view(2, -1).amin(0))
+        onward = _flip(vertex, twin, locked, moved, before, both, once)
+        waiting = gather(moved, 0, torch.cat([left, barred]))
+        queue = _canonical(torch.cat([waiting, both, gather(before, 0, both)]), twin)
+        moved.scatter_(0, onward, onward)
     flips = torch.cat(log) if log else torch.zeros(0, dtype=torch.int64, device=vertex.device)
     return vertex.reshape(-1, 3), twin, flips
 
@@ -315,12 +315,13 @@ def _eligible(
         rows.append(part[wanted])
         ranks.append(rank[wanted])
     h, rank = torch.cat(rows or [queue]), torch.cat(ranks or [x[:0]])
-    g = twin[h]
-    s, r = vertex[before[h]], vertex[before[g]]
+    gather = torch.index_select
+    last_h, last_g = gather(before, 0, h), gather(before, 0, gather(twin, 0, h))
+    s, r = gather(vertex, 0, last_h), gather(vertex, 0, last_g)
     # Walking one fan tells all edges of a vertex that has only one.
-    from_r = pinched[s]
-    begin = before[torch.where(from_r, g, h)]
-    exists = edge_exists(vertex, twin, begin, torch.where(from_r, s, r)) | (pinched[s] & pinched[r])
+    from_r = gather(pinched, 0, s)
+    exists = edge_exists(vertex, twin, torch.where(from_r, last_g, last_h), torch.where(from_r, s, r))
+    exists |= from_r & gather(pinched, 0, r)
     return h[~exists], rank[~exists], h[exists]
 
 
@@ -347,42 +348,45 @@ def _ask(
 def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:
     """(N,) bool: which of the half-edges h, given best first, rank first in both their triangles."""
     place = torch.arange(len(h), device=h.device)
-    t0, t1 = h // 3, twin[h] // 3
-    best.scatter_reduce_(0, torch.cat([t0, t1]), place.repeat(2), "amin")
-    chosen = (best[t0] == place) & (best[t1] == place)
-    best[t0], best[t1] = len(twin), len(twin)
-    return chosen
+    faces = torch.cat([h, twin.index_select(0, h)]).div_(3, rounding_mode="floor")
+    best.scatter_reduce_(0, faces, place.repeat(2), "amin")
+    one, two = best.index_select(0, faces).chunk(2)
+    best.index_fill_(0, faces, len(twin))
+    return (one == place) & (two == place)
 
 
-def _first_of_its_key(vertex: Tensor, twin: Tensor, h: Tensor, chosen: Tensor) -> Tensor:
+def _first_of_its_key(vertex: Tensor, twin: Tensor, before: Tensor, h: Tensor, chosen: Tensor) -> Tensor:
     """(N,) bool: false where a better-ranked chosen flip makes the same new edge."""
+    gather = torch.index_select
     rows = chosen.nonzero().squeeze(1)
-    s = vertex[previous_in_triangle(h[rows])]
-    r = vertex[previous_in_triangle(twin[h[rows]])]
+    few = gather(h, 0, rows)
+    s, r = gather(vertex, 0, gather(before, 0, torch.cat([few, gather(twin, 0, few)]))).chunk(2)
     keys, order = torch.sort(torch.minimum(s, r) * (int(vertex.max()) + 1) + torch.maximum(s, r), stable=True)
     again = torch.zeros_like(chosen)
     again[rows[order[1:][keys[1:] == keys[:-1]]]] = True
     return ~again
 
 
-def _flip(vertex: Tensor, twin: Tensor, locked: Tensor, moved: Tensor, h: Tensor, g: Tensor, once: bool) -> None:
-    """Flip the half-edges h (twins g), no two in one triangle, in place.
+def _flip(
+    vertex: Tensor, twin: Tensor, locked: Tensor, moved: Tensor, before: Tensor, both: Tensor, once: bool
+) -> Tensor:
+    """Flip the edges of half-edges `both` (2N,), one each and then their twins, no two in one triangle, in place.
 
-    The new diagonal takes the slots after h and after g; the outer half-edges that were there move
-    to h and g, and `moved` says so until the caller resets it.
+    The new diagonal takes the slots after them, which are returned; the outer half-edges that were there move
+    to those of the others' `both`, and `moved` says so until the caller resets it.
     """
-    h1, g1 = next_in_triangle(h), next_in_triangle(g)
-    s, r = vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
-    across_h1, across_g1 = twin[h1], twin[g1]
-    lock_h1, lock_g1 = locked[h1], locked[g1]
-    vertex[h1], vertex[g1] = r, s
-    moved[g1], moved[h1] = h, g
-    for slot, across in ((h, across_g1), (g, across_h1)):
-        inner = across >= 0
-        there = moved[across.clamp_min(0)]
-        twin[slot] = torch.where(inner, there, -1)
-        twin[there[inner]] = slot[inner]
-    twin[h1], twin[g1] = g1, h1
-    locked[h], locked[g] = lock_g1, lock_h1
-    locked[h1] = once
-    locked[g1] = once
+    gather, count = torch.index_select, len(both) // 2
+    last = gather(before, 0, both)
+    onward = gather(before, 0, last)
+    # Of the other triangle of each pair: its apex, and what lies across its moving half-edge.
+    apex, across, lock = (gather(v, 0, at).roll(count) for v, at in ((vertex, last), (twin, onward), (locked, onward)))
+    vertex.scatter_(0, onward, apex)
+    moved.scatter_(0, onward, both.roll(count))
+    inner = (across >= 0).nonzero().squeeze(1)
+    slot, there = gather(both, 0, inner), gather(moved, 0, gather(across, 0, inner))
+    twin.index_fill_(0, both, -1)
+    twin.scatter_(0, slot, there).scatter_(0, there, slot)
+    twin.scatter_(0, onward, onward.roll(count))
+    locked.scatter_(0, both, lock)
+    locked.index_fill_(0, onward, once)
+    return onward
