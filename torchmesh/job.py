@@ -51,6 +51,9 @@ _FIRST_ROUNDS = 4
 # A vertex that moves less than this part of its edges in a round of smoothing rests in the next one.
 _STILL = 0.02
 
+# A round that lowers the mean of a mesh without poor triangles by less is its last.
+_LITTLE = 3e-3
+
 # The inverse mean ratio of a triangle so flat that flips and q^2 would not see the others for it.
 _SLIVER = 1e4
 
@@ -187,7 +190,10 @@ class Job:
                 self._smooth("smooth", going, rough, lively)
                 if turn:
                     lively = (self.batch.points - before.points).square().sum(1) > (_STILL * size).square()
-                settled = (mean - self.quality.mean < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
+                gain = mean - self.quality.mean
+                settled = (gain < 1e-4) & (worst - self.quality.max < 1e-3 * worst)
+                # Where no triangle is poor, the last smoothing does the rest.
+                settled |= (gain < _LITTLE) & (self.quality.max < (self.options.smooth.ceiling or 1.0))
                 # Towards targets that are not equilateral the quality known here may even fall.
                 if turn and self.options.smooth.targets is None:
                     going = going & ~settled
