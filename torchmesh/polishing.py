@@ -90,7 +90,7 @@ _LEVELS = (_Level(2, 1, True, (8, 0.01)), _Level(3, 2, True, (6, 0.001)), _Level
 # Patches one triangle may be in that are tried at once.
 _GROUPS = 6
 # First flips of a patch that are followed by a second.
-_FINALISTS = 4
+_FINALISTS = 2
 # Degrees that a patch must win to be worth a round, and as much of the inverse mean ratio.
 _GAIN, _GAIN_OF_RATIO = 0.2, 0.005
 # Where the boundary sets a limit below what is asked, this part of it is enough.
