@@ -164,7 +164,10 @@ class Job:
                 self._untangle("untangle-beta", going & self.tangled, self.options.untangle)
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
-            self._try("pockets", self.batch, _by_pockets)
+            if bool(self.tangled.any()):
+                from .pockets import untangle_batch_by_pockets
+
+                self._try("pockets", self.batch, untangle_batch_by_pockets)
         self._regularised(self.given, UntangleOptions())
         elsewhere = segment_any((relaxed.points != self.given.points).any(1), self.given.point_offsets)
         self._regularised(relaxed, UntangleOptions(size_sweeps=(100,)), elsewhere)
@@ -444,9 +447,3 @@ class Job:
                 report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
 
         return monitor
-
-
-def _by_pockets(part: MeshBatch) -> tuple:
-    from .pockets import untangle_batch_by_pockets
-
-    return untangle_batch_by_pockets(part)
