@@ -20,7 +20,7 @@ import torch
 from tangles import tangle
 
 import torchmesh as tm
-from torchmesh import connectivity
+from torchmesh.mesh import connectivity
 
 CASES = [("mapped", 3), ("mapped", 4), ("mapped", 6), ("mapped", 8), ("wound", 1), ("wound", 2)]
 

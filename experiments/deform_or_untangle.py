@@ -21,7 +21,7 @@ import torch
 from tangles import FAMILIES, tangle
 
 import torchmesh as tm
-from torchmesh import connectivity
+from torchmesh.mesh import connectivity
 
 FAMILY_NAMES = ("moved", "turned")
 

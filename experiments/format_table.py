@@ -18,8 +18,8 @@ import meshio
 import numpy as np
 
 import torchmesh as tm
-from torchmesh import formats
-from torchmesh.formats import FORMATS
+from torchmesh.files import formats
+from torchmesh.files.formats import FORMATS
 
 CELLS = 4  # of the square's side; one of them a quad, a pentagon or nothing where such are asked for
 

@@ -24,7 +24,7 @@ import torch
 from scipy.spatial import Delaunay
 
 import torchmesh as tm
-from torchmesh import connectivity
+from torchmesh.mesh import connectivity
 
 Array = np.ndarray
 

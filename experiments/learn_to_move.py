@@ -30,9 +30,9 @@ import typer
 from torch import Tensor, nn
 
 import torchmesh as tm
-from torchmesh.connectivity import edges, twins
-from torchmesh.mesh import vertex_mesh
-from torchmesh.smoothing import vertex_size
+from torchmesh.mesh.batch import vertex_mesh
+from torchmesh.mesh.connectivity import edges, twins
+from torchmesh.mesh.neighbourhoods import vertex_size
 
 WAYS = ("no guard", "untangle loss", "layer")
 
@@ -173,7 +173,7 @@ def draw(path: Path, logs: dict[str, list[dict]], networks: dict[str, Mover], ta
     """The share of tangled outputs along the training, and the mesh that no guard tangles most."""
     import matplotlib.pyplot as plt
 
-    from torchmesh.plotting import plot_mesh
+    from torchmesh.pictures.pictures import plot_mesh
 
     layer = tm.nn.Untangle(on_failure="keep")
     with torch.no_grad():

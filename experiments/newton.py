@@ -5,9 +5,9 @@
 Smoothing: the sum of q^2 on a valid, rough mesh.  Untangling: the regularised functional with epsilon 1 and 0.1, on
 the tangled mesh.  Newton's Hessians are those of the triangles, each made positive semidefinite (eigenvalues cut
 off at zero; Teran, Sifakis, Irving & Fedkiw, Robust quasistatic finite elements and flesh simulation, 2005); its
-systems are solved by `torchmesh.hessian.solve`, conjugate gradients with the diagonal as preconditioner, no more
-exactly than the gradient asks for (Eisenstat & Walker, Choosing the forcing terms in an inexact Newton method, 1996);
-steps are halved until the energy falls.  L-BFGS is `torchmesh.lbfgs.minimise` as `smooth` and `untangle` call it.
+systems are solved by `optimising.conjugate_gradients.solve`, with the diagonal as preconditioner, no more exactly
+than the gradient asks for (Eisenstat & Walker, Choosing the forcing terms in an inexact Newton method, 1996);
+steps are halved until the energy falls.  L-BFGS is `optimising.lbfgs.minimise` as `smooth` and `untangle` call it.
 A pass is an energy with its gradient, or a product with the Hessian; the lowest energy is that of a long run.
 """
 
@@ -23,13 +23,14 @@ import torch
 from tangles import tangle
 
 import torchmesh as tm
-from torchmesh.energies import InverseMeanRatio, Regularised, equilateral, select_rows
-from torchmesh.hessian import Hessian, solve
-from torchmesh.lbfgs import LbfgsOptions, minimise
-from torchmesh.packing import MeshObjective, pack
-from torchmesh.segments import spread
-from torchmesh.smoothing import vertex_size
-from torchmesh.untangling import local_size
+from torchmesh.mesh.neighbourhoods import vertex_size
+from torchmesh.mesh.ragged import spread
+from torchmesh.optimising.conjugate_gradients import solve
+from torchmesh.optimising.energies import InverseMeanRatio, Regularised, equilateral, select_rows
+from torchmesh.optimising.hessian import Hessian
+from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.objective import MeshObjective, pack
+from torchmesh.untangling.local_size import local_size
 
 Tensor = torch.Tensor
 # (seconds, iterations, passes, energy) after each iteration.

@@ -30,7 +30,7 @@ import torch
 import typer
 
 import torchmesh as tm
-from torchmesh.domains import moving
+from torchmesh.learning.domains import moving
 
 # Degree of the polynomials that the quadrature of errors integrates exactly.
 QUADRATURE = 8

@@ -29,7 +29,7 @@ import torch
 import typer
 
 import torchmesh as tm
-from torchmesh import connectivity
+from torchmesh.mesh import connectivity
 
 MOST_TRIANGLES_AT_A_CORNER = 24
 TOPOLOGIES: tuple[Literal["flip", "full"], ...] = ("flip", "full")

@@ -18,7 +18,7 @@ import torch
 from tangles import tangle
 
 import torchmesh as tm
-from torchmesh.pockets import untangle_batch_by_pockets
+from torchmesh.untangling.retriangulation import untangle_batch_by_pockets
 
 MEMBERS = ("escalation", "kept first", "pockets first")
 CASES = [

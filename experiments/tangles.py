@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 import torchmesh as tm
-from torchmesh import connectivity
+from torchmesh.mesh import connectivity
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 from domains import Shape, double_areas, mesh_size, triangulate

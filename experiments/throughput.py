@@ -20,8 +20,8 @@ import matplotlib.pyplot as plt
 import torch
 
 from torchmesh import ImproveOptions, domains, improve_files, write
-from torchmesh.batching import Job, improve_jobs
-from torchmesh.files import processors
+from torchmesh.batches.batches import Job, improve_jobs
+from torchmesh.batches.runs import processors
 
 GENERATED_AT_ONCE = 128
 

@@ -33,11 +33,11 @@ import torch
 from tangles import tangle
 
 import torchmesh as tm
-from torchmesh.energies import TotalLiftedContent, equilateral
-from torchmesh.lbfgs import LbfgsOptions, minimise
-from torchmesh.packing import MeshObjective, pack
-from torchmesh.segments import spread
-from torchmesh.untangling import local_size
+from torchmesh.mesh.ragged import spread
+from torchmesh.optimising.energies import TotalLiftedContent, equilateral
+from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.objective import MeshObjective, pack
+from torchmesh.untangling.local_size import local_size
 
 CASES = [
     ("moved", 6), ("moved", 8), ("moved", 10), ("moved", 12), ("turned", 15), ("turned", 90), ("turned", 150),

@@ -22,3 +22,11 @@ def rng() -> np.random.Generator:
 @pytest.fixture
 def generator() -> torch.Generator:
     return torch.Generator().manual_seed(20171210)
+
+
+@pytest.fixture
+def inline(monkeypatch) -> None:
+    """Runs over files work in this process: the start of another is saved where only the outcome matters."""
+    from file_runs import Inline
+
+    monkeypatch.setattr("torchmesh.batches.runs.LocalWorker", Inline)

@@ -6,6 +6,7 @@ l_shape     two regions, the interface constrained     delaunay    scipy's trian
 equilateral a patch of equilateral triangles           moved_hole  a hole dragged through its mesh by FEMWARP
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -131,6 +132,11 @@ def holed_arrays(columns: int = 18, rows: int = 10, sides: int = 12) -> tuple[np
     triangles = np.where((twice < 0)[:, None], triangles[:, ::-1], triangles)
     inside = (triangles >= len(lattice)).all(1)
     return points, triangles[~inside & (np.abs(twice) > 1e-9)]
+
+
+def turned(points: torch.Tensor, degrees: float) -> torch.Tensor:
+    a = math.radians(degrees)
+    return points @ torch.tensor([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]], dtype=torch.float64)
 
 
 def moved_hole(distance: float = 5.0) -> MeshBatch:

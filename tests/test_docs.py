@@ -36,7 +36,7 @@ def script(page: Path) -> str:
                 assert program == "torchmesh", f"{page}: {line}"
                 lines.append(f"__run({arguments!r}, {status})")
     start = (
-        "from torchmesh import cli as __cli\n"
+        "from torchmesh.commands import main as __cli\n"
         "def __run(arguments, expected):\n"
         "    status = __cli.main(arguments)\n"
         "    assert status == expected, (arguments, status)\n"

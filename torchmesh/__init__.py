@@ -1,87 +1,139 @@
-"""torchmesh: untangle and improve planar triangle meshes, one or a hundred thousand at once."""
+"""torchmesh: untangle and improve planar triangle meshes, one or a hundred thousand at once.
+
+The folders are the algorithm, from the ground up; a folder imports from those above it in this list only:
+
+    mesh            what a mesh is: arrays, connectivity, exact signs, measures of quality
+    optimising      energies and the minimiser            triangulating  exact triangulation of polygons
+    files           reading and writing meshes
+    flipping        step 1 of Kim 2017: edges             untangling     step 2: inverted triangles
+    warping         moving a boundary                     diagnosing     can a valid mesh exist
+    smoothing       step 3: shapes
+    remeshing       vertices that come, go and travel
+    improving       the whole job, and how it is put together from the steps
+    learning        losses, layers and data for networks  pictures       plots, films, the report page
+    batches         files by the thousand
+    commands        the command line
+"""
 
 import importlib
+import importlib.abc
+import importlib.machinery
+import sys
 from typing import TYPE_CHECKING, Any
 
-from .quality import Quality, minimum_angle, quality
-
 if TYPE_CHECKING:
-    from . import datasets, domains, losses, metrics, nn
-    from .animation import animate
-    from .deformation import DeformOptions, DeformReport, deform
-    from .delaunay import FlipInfo, FlipOptions, flip_to_delaunay
-    from .diagnosis import Problem, ProblemKind, diagnose
-    from .errors import ConvergenceError, InvalidMeshError, MeshError, MeshIOError, MeshWarning, MissingDependencyError
-    from .files import improve_files
-    from .genealogy import VertexMap
-    from .io import held, read, write
-    from .manifest import FileResult
-    from .mesh import MeshBatch, join
-    from .options import ImproveOptions
-    from .page import report_page
-    from .paths import largest_step
-    from .pipeline import improve
-    from .polishing import PolishInfo, PolishOptions, polish
-    from .pyg import from_pyg, to_pyg
-    from .pyvista_export import to_pyvista
-    from .remesh_options import RemeshOptions
-    from .remeshing import RemeshInfo, remesh
-    from .report import Progress, Report, Step
-    from .series import Series, read_series, write_series
-    from .sizing import SizeConformity, size_conformity, size_field
-    from .smoothing import MoveInfo, SmoothOptions, smooth
-    from .status import Status
-    from .storage import BatchFile, BatchWriter, load_batch, load_fields, save_batch
-    from .targets import MetricField, metric_from, target_from, target_quality
-    from .untangling import UntangleOptions, untangle
-    from .warping import femwarp, relax
+    from types import ModuleType
 
-# Loaded when first asked for: a program pays for what it uses.  `quality` is here from the start, since the import
-# of the module of the same name, by whichever other module, would put that in its place.
+    from .batches.manifest import FileResult
+    from .batches.runs import improve_files
+    from .diagnosing.diagnosis import Problem, ProblemKind, diagnose
+    from .errors import ConvergenceError, InvalidMeshError, MeshError, MeshIOError, MeshWarning, MissingDependencyError
+    from .files.hdf5 import BatchFile, BatchWriter, load_batch, load_fields, save_batch
+    from .files.mesh_files import held, read, write
+    from .files.pyg import from_pyg, to_pyg
+    from .files.pyvista import to_pyvista
+    from .files.time_series import Series, read_series, write_series
+    from .flipping.delaunay import FlipInfo, FlipOptions, flip_to_delaunay
+    from .improving.deformation import DeformOptions, DeformReport, deform
+    from .improving.options import ImproveOptions
+    from .improving.pipeline import improve
+    from .improving.report import Progress, Report, Step
+    from .learning import datasets, domains, losses, nn
+    from .mesh import metrics
+    from .mesh.batch import MeshBatch, join
+    from .mesh.measure import Quality, minimum_angle, quality
+    from .mesh.vertex_map import VertexMap
+    from .optimising.moves import MoveInfo
+    from .optimising.targets import MetricField, metric_from, target_from, target_quality
+    from .pictures.films import animate
+    from .pictures.page import report_page
+    from .remeshing.options import RemeshOptions
+    from .remeshing.remeshing import RemeshInfo, remesh
+    from .remeshing.sizing import SizeConformity, size_conformity, size_field
+    from .smoothing.polishing import PolishInfo, PolishOptions, polish
+    from .smoothing.smoothing import SmoothOptions, smooth
+    from .status import Status
+    from .untangling.options import UntangleOptions
+    from .untangling.untangling import untangle
+    from .warping.boundary_path import largest_step
+    from .warping.femwarp import femwarp, relax
+
+# A module is imported when one of its names is first used, so that a program pays only for what it uses.
 _NAMES = {
-    "animation": "animate",
-    "deformation": "DeformOptions DeformReport deform",
-    "delaunay": "FlipInfo FlipOptions flip_to_delaunay",
-    "diagnosis": "Problem ProblemKind diagnose",
+    "batches.manifest": "FileResult",
+    "batches.runs": "improve_files",
+    "diagnosing.diagnosis": "Problem ProblemKind diagnose",
     "errors": "ConvergenceError InvalidMeshError MeshError MeshIOError MeshWarning MissingDependencyError",
-    "files": "improve_files",
-    "genealogy": "VertexMap",
-    "io": "held read write",
-    "manifest": "FileResult",
-    "mesh": "MeshBatch join",
-    "options": "ImproveOptions",
-    "page": "report_page",
-    "paths": "largest_step",
-    "pipeline": "improve",
-    "polishing": "PolishInfo PolishOptions polish",
-    "pyg": "from_pyg to_pyg",
-    "pyvista_export": "to_pyvista",
-    "remesh_options": "RemeshOptions",
-    "remeshing": "RemeshInfo remesh",
-    "report": "Progress Report Step",
-    "series": "Series read_series write_series",
-    "sizing": "SizeConformity size_conformity size_field",
-    "smoothing": "MoveInfo SmoothOptions smooth",
+    "files.hdf5": "BatchFile BatchWriter load_batch load_fields save_batch",
+    "files.mesh_files": "held read write",
+    "files.pyg": "from_pyg to_pyg",
+    "files.pyvista": "to_pyvista",
+    "files.time_series": "Series read_series write_series",
+    "flipping.delaunay": "FlipInfo FlipOptions flip_to_delaunay",
+    "improving.deformation": "DeformOptions DeformReport deform",
+    "improving.options": "ImproveOptions",
+    "improving.pipeline": "improve",
+    "improving.report": "Progress Report Step",
+    "mesh.batch": "MeshBatch join",
+    "mesh.measure": "Quality minimum_angle quality",
+    "mesh.vertex_map": "VertexMap",
+    "optimising.moves": "MoveInfo",
+    "optimising.targets": "MetricField metric_from target_from target_quality",
+    "pictures.films": "animate",
+    "pictures.page": "report_page",
+    "remeshing.options": "RemeshOptions",
+    "remeshing.remeshing": "RemeshInfo remesh",
+    "remeshing.sizing": "SizeConformity size_conformity size_field",
+    "smoothing.polishing": "PolishInfo PolishOptions polish",
+    "smoothing.smoothing": "SmoothOptions smooth",
     "status": "Status",
-    "storage": "BatchFile BatchWriter load_batch load_fields save_batch",
-    "targets": "MetricField metric_from target_from target_quality",
-    "untangling": "UntangleOptions untangle",
-    "warping": "femwarp relax",
+    "untangling.options": "UntangleOptions",
+    "untangling.untangling": "untangle",
+    "warping.boundary_path": "largest_step",
+    "warping.femwarp": "femwarp relax",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+# Public modules, known as torchmesh.nn and so on wherever they lie.
+_MODULES = {
+    "datasets": "learning.datasets",
+    "domains": "learning.domains",
+    "losses": "learning.losses",
+    "metrics": "mesh.metrics",
+    "nn": "learning.nn",
+}
+
+
+class _PublicModules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Lets `import torchmesh.nn` and `from torchmesh.nn import Untangle` find the module in its folder."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
+        package, _, name = fullname.rpartition(".")
+        return importlib.machinery.ModuleSpec(fullname, self) if package == __name__ and name in _MODULES else None
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> "ModuleType":
+        module = importlib.import_module(f".{_MODULES[spec.name.rpartition('.')[2]]}", __name__)
+        spec.loader_state = module.__spec__
+        return module
+
+    def exec_module(self, module: "ModuleType") -> None:
+        # The import system has just put the alias in the place of the module's own specification.
+        assert module.__spec__ is not None
+        module.__spec__ = module.__spec__.loader_state
+
+
+sys.meta_path.append(_PublicModules())
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        value = globals()[name] = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
-        return value
-    if not name.startswith("_"):
-        try:
-            return importlib.import_module(f".{name}", __name__)
-        except ModuleNotFoundError as error:
-            if error.name != f"{__name__}.{name}":
-                raise
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
+    elif name in _MODULES:
+        value = importlib.import_module(f".{_MODULES[name]}", __name__)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
@@ -89,32 +141,11 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "animate",
     "BatchFile",
     "BatchWriter",
-    "datasets",
-    "domains",
-    "from_pyg",
-    "load_batch",
-    "load_fields",
-    "losses",
-    "nn",
-    "save_batch",
-    "to_pyg",
-    "to_pyvista",
-    "deform",
+    "ConvergenceError",
     "DeformOptions",
     "DeformReport",
-    "largest_step",
-    "diagnose",
-    "Problem",
-    "ProblemKind",
-    "read",
-    "read_series",
-    "Series",
-    "write_series",
-    "write",
-    "ConvergenceError",
     "FileResult",
     "FlipInfo",
     "FlipOptions",
@@ -127,37 +158,58 @@ __all__ = [
     "MetricField",
     "MissingDependencyError",
     "MoveInfo",
+    "PolishInfo",
+    "PolishOptions",
+    "Problem",
+    "ProblemKind",
     "Progress",
     "Quality",
+    "RemeshInfo",
+    "RemeshOptions",
     "Report",
+    "Series",
+    "SizeConformity",
     "SmoothOptions",
     "Status",
     "Step",
     "UntangleOptions",
+    "VertexMap",
+    "animate",
+    "datasets",
+    "deform",
+    "diagnose",
+    "domains",
     "femwarp",
     "flip_to_delaunay",
+    "from_pyg",
     "held",
     "improve",
     "improve_files",
     "join",
+    "largest_step",
+    "load_batch",
+    "load_fields",
+    "losses",
     "metric_from",
     "metrics",
     "minimum_angle",
+    "nn",
     "polish",
-    "PolishInfo",
-    "PolishOptions",
     "quality",
+    "read",
+    "read_series",
     "relax",
     "remesh",
-    "RemeshInfo",
-    "RemeshOptions",
+    "report_page",
+    "save_batch",
     "size_conformity",
     "size_field",
-    "SizeConformity",
-    "VertexMap",
-    "report_page",
     "smooth",
     "target_from",
     "target_quality",
+    "to_pyg",
+    "to_pyvista",
     "untangle",
+    "write",
+    "write_series",
 ]

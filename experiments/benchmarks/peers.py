@@ -20,7 +20,7 @@ import torch
 from domains import double_areas
 from measuring import Seconds, Stopwatch
 
-from torchmesh import connectivity
+from torchmesh.mesh import connectivity
 
 Array = np.ndarray
 

@@ -5,12 +5,19 @@ import pytest
 import torch
 
 import torchmesh as tm
-from torchmesh import connectivity
-from torchmesh.domains import moving
-from torchmesh.energies import InverseMeanRatio, Regularised, UntangleBeta, energy_and_forces, equilateral, pieces_of
-from torchmesh.lbfgs import LbfgsOptions, minimise
-from torchmesh.packing import MeshObjective, pack
-from torchmesh.smoothing import vertex_size
+from torchmesh.learning.domains import moving
+from torchmesh.mesh import connectivity
+from torchmesh.mesh.neighbourhoods import vertex_size
+from torchmesh.optimising.energies import (
+    InverseMeanRatio,
+    Regularised,
+    UntangleBeta,
+    energy_and_forces,
+    equilateral,
+    pieces_of,
+)
+from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.objective import MeshObjective, pack
 
 
 def grid(cells: int, jitter: float = 0.15, seed: int = 0) -> tm.MeshBatch:

@@ -1,0 +1,183 @@
+"""The paper's three experiments: what `torchmesh reproduce` claims, checked from the files it leaves."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import exact
+import meshio
+import numpy as np
+import pytest
+
+from torchmesh.commands import main as cli
+from torchmesh.commands import reproduce as reproduction
+from torchmesh.commands.reproduce import EXPERIMENTS, Row, verdicts
+from torchmesh.errors import MeshError
+
+STAGES = ["initial", "deformed", "flipped", "untangled", "final", "ablation", "default"]
+DOMAINS = [experiment.name for experiment in EXPERIMENTS]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, str]:
+    """The folder that `torchmesh reproduce` left, run as a process with its defaults, and what it printed."""
+    folder = tmp_path_factory.mktemp("reproduce")
+    done = subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-m", "torchmesh", "reproduce"],
+        cwd=folder, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    return folder / "out", done.stdout
+
+
+@pytest.fixture(scope="module")
+def rows(finished) -> dict[tuple[str, str], dict]:
+    document = json.loads((finished[0] / "reproduction.json").read_text(), parse_constant=pytest.fail)
+    assert set(document) == {"source", "note", "torchmesh", "rows"}
+    assert "2017, 2953736" in document["source"]
+    assert "ours" in document["note"]
+    return {(row["domain"], row["stage"]): row for row in document["rows"]}
+
+
+def test_every_stage_of_every_domain_has_a_row(rows):
+    assert list(rows) == [(domain, stage) for domain in DOMAINS for stage in STAGES]
+    for (_, stage), row in rows.items():
+        assert set(row) == {"domain", "stage", "ours", "paper"}
+        for who in (row["ours"], row["paper"]):
+            if who is None:
+                assert stage == "default", "the paper has all the other stages"
+            else:
+                assert set(who) == {"mean", "max", "inverted", "rounds"}
+                assert (who["rounds"] is None) == (stage != "untangled")
+
+
+def imr(mesh: meshio.Mesh) -> np.ndarray:
+    """Kim 2017, equation (4), by matrices."""
+    a, b, c = mesh.points[mesh.cells_dict["triangle"], :2].transpose(1, 0, 2)
+    m = np.stack([b - a, c - a], -1) @ np.linalg.inv([[1, 0.5], [0, np.sqrt(3) / 2]])
+    return (m**2).sum((1, 2)) / (2 * np.abs(np.linalg.det(m)))
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+def test_the_rows_are_those_of_the_meshes(finished, rows, domain):
+    for stage in STAGES:
+        mesh = meshio.read(finished[0] / f"{domain}-{stage}.vtu")
+        ours, ratio = rows[domain, stage]["ours"], imr(mesh)
+        # The flattest triangles lose digits in the determinant: hence 1e-6.
+        assert ours["mean"] == pytest.approx(ratio.mean(), rel=1e-6)
+        assert ours["max"] == pytest.approx(ratio.max(), rel=1e-6)
+        area = [exact.double_area(*mesh.points[row, :2]) for row in mesh.cells_dict["triangle"]]
+        assert ours["inverted"] == sum(a <= 0 for a in area)
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+def test_boundary_vertices_and_area_survive_every_stage(finished, domain):
+    def area(mesh: meshio.Mesh) -> object:
+        return sum(exact.double_area(*mesh.points[row, :2]) for row in mesh.cells_dict["triangle"])
+
+    read = {stage: meshio.read(finished[0] / f"{domain}-{stage}.vtu") for stage in STAGES}
+    first = read["deformed"]
+    rim = np.unique(list(boundary(first.cells_dict["triangle"])))
+    for stage in STAGES[2:]:
+        mesh = read[stage]
+        assert boundary(mesh.cells_dict["triangle"]) == boundary(first.cells_dict["triangle"])
+        assert (mesh.points[rim] == first.points[rim]).all()
+        assert area(mesh) == area(first)
+    assert (read["ablation"].cells_dict["triangle"] == first.cells_dict["triangle"]).all()
+    assert (read["deformed"].cells_dict["triangle"] == read["initial"].cells_dict["triangle"]).all()
+
+
+def boundary(triangles: np.ndarray) -> set[tuple[int, int]]:
+    edges = {(int(u), int(v)) for u, v in np.stack([triangles, np.roll(triangles, -1, 1)], 2).reshape(-1, 2)}
+    return {(u, v) for u, v in edges if (v, u) not in edges}
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+def test_the_experiments_are_like_the_papers(rows, domain):
+    """The bounds that the domains were made to: issue 2, point 10."""
+    initial, deformed = rows[domain, "initial"], rows[domain, "deformed"]
+    assert initial["ours"]["mean"] == pytest.approx(initial["paper"]["mean"], rel=0.03)
+    assert initial["ours"]["max"] == pytest.approx(initial["paper"]["max"], rel=0.15)
+    assert deformed["ours"]["inverted"] == pytest.approx(deformed["paper"]["inverted"], rel=0.25)
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+def test_the_final_meshes_are_at_least_as_good_as_the_papers(rows, domain):
+    paper = rows[domain, "final"]["paper"]
+    default, final = rows[domain, "default"]["ours"], rows[domain, "final"]["ours"]
+    assert (default["inverted"], final["inverted"]) == (0, 0)
+    assert default["mean"] <= paper["mean"]
+    assert default["max"] <= paper["max"]
+
+
+def test_each_verdict_is_printed(finished):
+    said = finished[1]
+    assert "dimensions and the meshes are ours" in said
+    assert said.count("our default method ends at") == 3
+    assert said.count("the paper's method ends at") == 3
+    assert said.count("at least as good") >= 3
+    for experiment in EXPERIMENTS:
+        assert f"moving {experiment.name} (" in said
+        assert f"{experiment.paper['final'].mean:.3f}" in said
+
+
+def test_verdicts_admit_what_is_worse():
+    experiment = EXPERIMENTS[0]
+    good = {stage: Row(1.05, 1.5, 0) for stage in STAGES}
+    lines = verdicts(experiment, good)
+    assert [line.endswith(": at least as good") for line in lines[:2]] == [True, True]
+    assert "contrary to the paper (54 inverted)" in lines[2]
+    poor = good | {"final": Row(1.2, 1.5, 3), "default": Row(1.05, 7.0, 0), "ablation": Row(9.0, 99.0, 5)}
+    lines = verdicts(experiment, poor)
+    assert len(lines) == 2
+    assert lines[0].endswith("not as good (average, inverted)")
+    assert lines[1].endswith("not as good (maximum)")
+
+
+def test_figures_4_to_18_and_a_comparison_of_each_domain(finished):
+    image = pytest.importorskip("matplotlib.image")
+    names = {f"figure-{number:02d}.png" for number in range(4, 19)} | {f"{domain}-default.png" for domain in DOMAINS}
+    assert {path.name for path in finished[0].glob("*.png")} == names
+    inverted = {5, 6, 10, 11, 15, 16}
+    for name in sorted(names):
+        pixels = image.imread(finished[0] / name)[..., :3]
+        assert min(pixels.shape[:2]) > 500
+        assert pixels.var() > 0.005
+        if name.startswith("figure"):
+            r, g, b = np.moveaxis(pixels[:, : int(0.9 * pixels.shape[1])], 2, 0)
+            marked = ((r > 0.7) & (r - g > 0.25) & (g > 0.36) & (b < 0.28)).sum()
+            assert (marked > 200) == (int(name[7:9]) in inverted), name
+
+
+def test_meshes_that_differ_from_the_report_are_noticed(monkeypatch):
+    right = reproduction.measured
+
+    def wrong(mesh, rounds=None):
+        row = right(mesh, rounds)
+        return dataclasses.replace(row, mean=row.mean * (1 + 1e-6))
+
+    monkeypatch.setattr(reproduction, "measured", wrong)
+    with pytest.raises(MeshError, match="improve reports"):
+        reproduction.run(EXPERIMENTS[2])
+
+
+def test_without_plots(tmp_path, monkeypatch, capsys):
+    """Also where matplotlib is missing, which is said at once when plots are wanted."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr(reproduction, "EXPERIMENTS", EXPERIMENTS[2:])
+    assert cli.main(["reproduce", "--out", str(tmp_path / "a" / "b")]) == 2
+    assert "torchmesh-untangle[plot]" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["reproduce", "--out", "results", "--no-plots"]) == 0
+    assert {path.suffix for path in (tmp_path / "results").iterdir()} == {".vtu", ".json"}
+
+
+def test_a_final_mesh_that_is_not_valid_is_status_1(monkeypatch, capsys, tmp_path):
+    row = {"domain": "bar", "stage": "final", "ours": {"inverted": 3}}
+    monkeypatch.setattr(reproduction, "reproduce", lambda *_: [row])
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == "not valid: bar, final: 3 inverted\n"

@@ -1,0 +1,102 @@
+"""Datasets under a DataLoader: the same meshes for any number of workers."""
+
+import dataclasses
+import itertools
+
+import pytest
+import torch
+from meshes import disc, grid
+from torch.utils.data import DataLoader
+
+import torchmesh as tm
+from torchmesh.learning.datasets import GeneratedMeshes, MeshDataset, Pair, collate
+from torchmesh.mesh.batch import MeshBatch
+
+OPTIONS = {"triangles": 200, "motions": 2, "seed": 3}
+
+
+def same(a: MeshBatch, b: MeshBatch) -> bool:
+    return all(torch.equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+
+
+@pytest.fixture(scope="module")
+def made():
+    return tm.domains.generate(10, ["gate", "circle"], **OPTIONS)
+
+
+@pytest.fixture
+def paths(made, tmp_path):
+    """The ten meshes in two files, of seven and three."""
+    first = torch.arange(10) < 7
+    out = []
+    for name, keep in (("a.h5", first), ("b.h5", ~first)):
+        part = made.undeformed.select(keep)
+        tm.save_batch(tmp_path / name, made.deformed.select(keep), point_fields={"undeformed": part.points})
+        out.append(tmp_path / name)
+    return out
+
+
+def test_items_are_the_meshes_of_all_files(made, paths):
+    dataset = MeshDataset(paths)
+    assert len(dataset) == 10
+    for b, mesh in enumerate(made.deformed.split()):
+        assert same(dataset[b], mesh)
+        assert same(dataset[b - 10], mesh)
+    for wrong in (10, -11):
+        with pytest.raises(IndexError, match="10 meshes"):
+            dataset[wrong]
+
+
+def test_pairs_are_before_and_after(made, paths):
+    dataset = MeshDataset(paths, pairs=True)
+    item = dataset[8]
+    assert isinstance(item, Pair)
+    assert same(item.undeformed, made.undeformed.split()[8])
+    assert same(item.deformed, made.deformed.split()[8])
+
+
+def test_a_file_without_pairs_is_told(tmp_path):
+    tm.save_batch(tmp_path / "plain.h5", grid())
+    with pytest.raises(tm.MeshIOError, match=r"plain\.h5.*undeformed"):
+        MeshDataset(tmp_path / "plain.h5", pairs=True)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_loader_gives_the_meshes_in_order(made, paths, workers):
+    dataset = MeshDataset(paths, pairs=True)
+    # A file that is open here already must be opened anew in each worker.
+    assert len(dataset[0].deformed) == 1
+    loader = DataLoader(dataset, batch_size=4, collate_fn=collate, num_workers=workers)
+    batches = list(loader)
+    assert [len(batch.deformed) for batch in batches] == [4, 4, 2]
+    assert same(tm.join([batch.deformed for batch in batches]), made.deformed)
+    assert same(tm.join([batch.undeformed for batch in batches]), made.undeformed)
+
+
+def test_generated_meshes_are_the_stream(made):
+    items = list(itertools.islice(GeneratedMeshes(["gate", "circle"], **OPTIONS), 10))
+    assert same(tm.join(items), made.deformed)
+    pairs = list(itertools.islice(GeneratedMeshes(["gate", "circle"], pairs=True, **OPTIONS), 3))
+    assert all(same(pair.undeformed, mesh) for pair, mesh in zip(pairs, made.undeformed.split(), strict=False))
+
+
+def test_workers_share_the_domains(made):
+    stream = GeneratedMeshes(["gate", "circle"], **OPTIONS)
+    loader = DataLoader(stream, batch_size=2, collate_fn=collate, num_workers=2)
+    # Batches come from the workers in turn: the motions of one domain from one, of the next from the other.
+    batches = list(itertools.islice(loader, 5))
+    assert same(tm.join(batches), made.deformed)
+
+
+def test_wrong_options_are_told_at_once():
+    with pytest.raises(ValueError, match="square"):
+        GeneratedMeshes(["square"])
+
+
+def test_collate_goes_into_tuples_and_dicts():
+    items = [{"mesh": m, "pair": (m, torch.tensor([1.0])), "n": n} for n, m in enumerate((grid(), disc()))]
+    result = collate(items)
+    assert same(result["mesh"], tm.join([grid(), disc()]))
+    assert same(result["pair"][0], result["mesh"])
+    assert result["pair"][1].shape == (2, 1)
+    assert result["n"].tolist() == [0, 1]

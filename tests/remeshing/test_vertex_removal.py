@@ -1,0 +1,134 @@
+"""Vertices that have no room are taken out under topology "full", with all that hangs on their names."""
+
+import dataclasses
+
+import meshes
+import numpy as np
+import pytest
+import torch
+from exact import inverted
+from scipy.spatial import Delaunay
+
+from torchmesh import ImproveOptions, MeshBatch, RemeshOptions, Status, improve, join
+from torchmesh.mesh.connectivity import boundary_edges, euler_number, twins
+from torchmesh.mesh.vertex_map import Names
+from torchmesh.remeshing.remeshing import Remeshing, editable, rebuilt
+from torchmesh.remeshing.sizing import size_field
+from torchmesh.remeshing.vertex_removal import collapse_round, fallen, untangle_by_surgery
+
+# Where neighbouring float64 numbers are 1 apart.
+FAR = 2.0**52
+WALL = np.array([[0.5, 0.25], [0.5, 0.5], [0.5, 0.75]])
+RIM = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]])
+
+
+def crowded(side, free, seed=0, wall=False):
+    """A square of side + 1 times side + 1 floating-point places, with `free` vertices more, all in one of them.
+
+    wall: constrained edges join the middles of two opposite sides.
+    """
+    rng = np.random.default_rng(seed)
+    inner = rng.uniform(0.1, 0.9, (free, 2))
+    held = np.concatenate([RIM, WALL]) if wall else RIM
+    if wall:  # so that the wall's edges are Delaunay
+        inner[:, 0] = np.where(inner[:, 0] < 0.5, 0.5, 0.8) * inner[:, 0] + np.where(inner[:, 0] < 0.5, 0.05, 0.2)
+    points = np.concatenate([held, inner])
+    triangles = Delaunay(points).simplices
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles = np.where((twice < 0)[:, None], triangles[:, ::-1], triangles)[np.abs(twice) > 1e-12]
+    edges = [[1, 8], [8, 9], [9, 10], [10, 5]] if wall else None
+    mesh = MeshBatch.from_arrays(points, triangles, constrained_edges=edges)
+    places = np.concatenate([held, np.full((free, 2), 0.25)])
+    return mesh.with_points(torch.from_numpy(places * side + FAR))
+
+
+@pytest.mark.parametrize(("side", "free"), [(2, 5), (4, 12), (8, 70)])
+def test_where_floats_have_no_room_full_takes_vertices_out(side, free):
+    mesh = crowded(side, free)
+    _, report = improve(mesh)
+    assert report.status.tolist() == [Status.STALLED]
+    assert "no room between floating-point numbers" in report.messages[0]
+    assert "inverted triangles are left after relax" in report.messages[0]
+    after, report = improve(mesh, ImproveOptions(topology="full"))
+    assert inverted(after) == 0
+    assert report.certified.tolist() == [True]
+    assert report.status.tolist() == [Status.SETTLED]
+    assert "surgery" in report.to_dict()[0]["tried"]
+    assert report.worked == ["surgery"]
+    new = report.vertex_map.old_to_new
+    assert torch.equal(after.points[new[:8]], mesh.points[:8])
+    assert int((new < 0).sum()) > 0
+    assert report.remeshed.collapses.item() >= int((new < 0).sum())
+    names = torch.arange(len(mesh.points))
+    carried = report.vertex_map.carry(names)
+    old = report.vertex_map.new_to_old
+    assert torch.equal(carried[old >= 0], old[old >= 0])
+
+
+def test_walls_and_fixed_vertices_stay():
+    mesh = crowded(8, 60, wall=True)
+    after, report = improve(mesh, ImproveOptions(topology="full"))
+    assert inverted(after) == 0
+    assert report.certified.tolist() == [True]
+    new = report.vertex_map.old_to_new
+    assert torch.equal(after.points[new[:11]], mesh.points[:11])
+    kept = {frozenset(e) for e in after.constrained_edges.tolist()}
+    assert {frozenset(new[list(e)].tolist()) for e in mesh.constrained_edges.tolist()} == kept
+
+
+def test_joined_equals_alone_to_the_bit():
+    batch = [meshes.jittered(6, 5, 0.5, 0), crowded(4, 12), meshes.grid(3, 3), crowded(8, 70)]
+    options = ImproveOptions(topology="full")
+    together, report = improve(join(batch), options)
+    assert bool(report.certified.all())
+    maps = report.vertex_map.split(join(batch), together)
+    for mesh, after, vertex_map in zip(batch, together.split(), maps, strict=True):
+        alone, by_itself = improve(mesh, options)
+        assert torch.equal(after.points, alone.points)
+        assert torch.equal(after.triangles, alone.triangles)
+        assert torch.equal(vertex_map.old_to_new, by_itself.vertex_map.old_to_new)
+
+
+def test_sizes_of_the_user_go_with_their_vertices():
+    mesh = crowded(8, 70)
+    sizes = torch.full((len(mesh.points),), 3.0, dtype=torch.float64)
+    options = ImproveOptions(topology="full", remesh=RemeshOptions(sizes=sizes))
+    after, report = improve(join([meshes.grid(3, 3), mesh]), dataclasses.replace(
+        options, remesh=RemeshOptions(sizes=torch.cat([torch.full((16,), 0.3, dtype=torch.float64), sizes]))
+    ))  # fmt: skip
+    assert bool(report.certified.all())
+    assert len(report.remeshed.size) == len(after.points)
+
+
+@pytest.mark.parametrize("name", list(meshes.TANGLED))
+def test_a_round_of_collapses_leaves_a_mesh_of_the_same_frame(name):
+    mesh = meshes.TANGLED[name]()
+    names = Names(len(mesh.points), mesh.points.device)
+    e = editable(mesh, size_field(mesh, "keep"), names, names.of)
+    before = int(fallen(e).sum())
+    assert before == inverted(mesh)
+    taken = collapse_round(e)
+    after, _, old = rebuilt(mesh, e)
+    assert taken.item() > 0
+    assert len(after.points) == len(mesh.points) - taken.item()
+    assert len(after.triangles) == len(mesh.triangles) - 2 * taken.item()
+    assert torch.equal(after.points, mesh.points[old])
+    twin, given = twins(after.triangles), twins(mesh.triangles)
+    assert torch.equal(twin[twin[twin >= 0]], (twin >= 0).nonzero().squeeze(1))
+    assert euler_number(after.triangles, twin) == euler_number(mesh.triangles, given)
+    rims = [old[boundary_edges(after.triangles, twin)], boundary_edges(mesh.triangles, given)]
+    rims = [{tuple(edge) for edge in rim.tolist()} for rim in rims]
+    assert rims[0] == rims[1]
+    gone = torch.ones(len(mesh.points), dtype=torch.bool)
+    gone[old] = False
+    assert not bool((gone & mesh.fixed).any())
+
+
+def test_a_mesh_of_fixed_vertices_only_ends():
+    mesh = meshes.grid(1, 1)
+    points = mesh.points.clone()
+    points[2] = torch.tensor([-0.5, 0.2])
+    work = Remeshing(mesh.with_points(points), RemeshOptions())
+    assert untangle_by_surgery(work, torch.tensor([True])).shape == (1,)
+    assert work.collapses.tolist() == [0]

@@ -1,0 +1,201 @@
+"""FEMWARP, relaxation, and the stiffness matrix under them."""
+
+import meshes
+import numpy as np
+import pytest
+import torch
+from exact import inverted
+from scipy.sparse.linalg import spsolve
+
+from torchmesh import InvalidMeshError, MeshBatch, femwarp, join, relax
+from torchmesh.mesh.triangle import corners
+from torchmesh.optimising.laplacian import cotangent_weights, harmonic_extension
+
+GOOD = [name for name in meshes.VALID if name != "bowtie"]
+
+
+def stiffness(mesh):
+    """The P1 stiffness matrix, dense, by gradients of hat functions element by element."""
+    points = mesh.points.numpy()
+    k = np.zeros((len(points), len(points)))
+    for row in mesh.triangles.tolist():
+        # The hat functions are the columns of this inverse: 1, x, y coefficients.
+        matrix = np.column_stack([np.ones(3), points[row]])
+        gradient = np.linalg.inv(matrix)[1:]
+        k[np.ix_(row, row)] += abs(np.linalg.det(matrix)) / 2 * gradient.T @ gradient
+    return k
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_cotangent_weights_are_the_stiffness_matrix(name):
+    mesh = meshes.VALID[name]()
+    weights = cotangent_weights(corners(mesh.points, mesh.triangles))
+    k = np.zeros((len(mesh.points),) * 2)
+    for w, (i, j) in zip(weights, ((1, 2), (2, 0), (0, 1)), strict=True):
+        np.add.at(k, (mesh.triangles[:, i].numpy(), mesh.triangles[:, j].numpy()), -w.numpy())
+    k = k + k.T
+    k -= np.diag(k.sum(1))
+    # Entries are cotangents: for the worst sliver about 30.
+    np.testing.assert_allclose(k, stiffness(mesh), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_femwarp_solves_the_linear_elements(name, rng):
+    mesh = meshes.VALID[name]()
+    target = mesh.points.numpy() + 0.1 * rng.normal(size=mesh.points.shape)
+    fixed = mesh.fixed.numpy()
+    k = stiffness(mesh)
+    inner = np.linalg.solve(k[np.ix_(~fixed, ~fixed)], -k[np.ix_(~fixed, fixed)] @ target[fixed])
+    warped = femwarp(mesh, torch.from_numpy(target)).points.numpy()
+    np.testing.assert_array_equal(warped[fixed], target[fixed])
+    # Two direct solvers, condition below a thousand.
+    np.testing.assert_allclose(warped[~fixed], inner, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", list(meshes.VALID))
+def test_femwarp_reproduces_affine_motion(name, rng):
+    mesh = meshes.VALID[name]()
+    matrix, shift = rng.normal(size=(2, 2)), rng.normal(size=2)
+    target = mesh.points @ torch.from_numpy(matrix) + torch.from_numpy(shift)
+    only_rim = torch.where(mesh.fixed[:, None], target, torch.full_like(target, torch.nan))
+    # A solve with condition below a thousand on coordinates of size a few.
+    torch.testing.assert_close(femwarp(mesh, only_rim).points, target, rtol=0, atol=1e-12)
+
+
+def test_femwarp_of_no_motion_stays():
+    mesh = meshes.delaunay()
+    torch.testing.assert_close(femwarp(mesh, mesh.points).points, mesh.points, rtol=0, atol=1e-13)
+
+
+def test_femwarp_keeps_everything_but_the_points():
+    mesh = meshes.l_shape()
+    before = mesh.points.clone()
+    warped = femwarp(mesh, 2 * mesh.points)
+    assert torch.equal(mesh.points, before)
+    assert warped.triangles is mesh.triangles
+    assert torch.equal(warped.constrained_edges, mesh.constrained_edges)
+    assert torch.equal(warped.fixed, mesh.fixed)
+
+
+def test_femwarp_holds_fixed_interior_vertices_at_their_new_place():
+    points, triangles = meshes.grid_arrays(4, 4)
+    held = np.zeros(len(points), bool)
+    held[12] = True
+    mesh = MeshBatch.from_arrays(points, triangles, held)
+    target = mesh.points.clone()
+    target[12] += 0.1
+    warped = femwarp(mesh, target)
+    assert torch.equal(warped.points[12], target[12])
+    assert bool((warped.points[~mesh.fixed] != mesh.points[~mesh.fixed]).any())
+
+
+def test_femwarp_without_free_vertices_moves_the_boundary():
+    mesh = meshes.grid(1, 1)
+    assert torch.equal(femwarp(mesh, mesh.points + 1).points, mesh.points + 1)
+
+
+def test_femwarp_takes_numpy_and_float32():
+    mesh = meshes.grid()
+    assert torch.equal(femwarp(mesh, 2 * mesh.points.numpy()).points, femwarp(mesh, 2 * mesh.points).points)
+    single = mesh.to(torch.float32)
+    warped = femwarp(single, 2 * single.points)
+    assert warped.points.dtype == torch.float32
+    # Single precision of numbers up to two.
+    torch.testing.assert_close(warped.points, 2 * single.points, rtol=0, atol=3e-7)
+
+
+def test_a_far_motion_tangles():
+    assert inverted(meshes.moved_hole()) > 5
+    assert inverted(meshes.moved_hole(0.1)) == 0
+
+
+@pytest.mark.parametrize(
+    "warp", [lambda m: femwarp(m, 1.5 * m.points + m.points.flip(1)), relax], ids=["femwarp", "relax"]
+)
+def test_joined_equals_alone(warp):
+    parts = [meshes.VALID[name]() for name in (*meshes.VALID, *meshes.VALID)] + [
+        meshes.grid(12, 11),
+        meshes.ring(30, 6),
+    ]
+    for mesh, together in zip(parts, warp(join(parts)).split(), strict=True):
+        assert torch.equal(warp(mesh).points, together.points)
+
+
+def test_femwarp_refuses_an_inverted_mesh_and_names_it():
+    bad = meshes.jittered(cells=0.9)
+    with pytest.raises(InvalidMeshError, match=r"mesh 1: triangles row \d+ is inverted.*improve it first"):
+        femwarp(join([meshes.grid(), bad]), torch.cat([meshes.grid().points, bad.points]))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_femwarp_refuses_places_that_are_not_finite(bad):
+    mesh = meshes.grid(2, 2)
+    target = mesh.points.clone()
+    target[3, 1] = bad
+    with pytest.raises(InvalidMeshError, match=r"new_points row 3 .*finite"):
+        femwarp(mesh, target)
+
+
+def test_femwarp_refuses_another_number_of_points():
+    mesh = meshes.grid()
+    for other in (mesh.points[1:], torch.zeros(len(mesh.points), 3)):
+        with pytest.raises(InvalidMeshError, match="new_points must be"):
+            femwarp(mesh, other)
+
+
+# --- relax ---
+
+
+@pytest.mark.parametrize("name", ["grid", "disc", "equilateral", "ring", "delaunay"])
+def test_relax_puts_every_free_vertex_at_the_mean_of_its_neighbours(name):
+    mesh = meshes.disturbed(meshes.VALID[name](), 1.0, 4)
+    relaxed = relax(mesh)
+    neighbours = {v: set() for v in range(len(mesh.points))}
+    for row in mesh.triangles.tolist():
+        for v in row:
+            neighbours[v] |= set(row) - {v}
+    for v in (~mesh.fixed).nonzero().squeeze(1).tolist():
+        mean = relaxed.points[sorted(neighbours[v])].mean(0)
+        torch.testing.assert_close(relaxed.points[v], mean, rtol=0, atol=1e-13)
+    assert torch.equal(relaxed.points[mesh.fixed], mesh.points[mesh.fixed])
+
+
+@pytest.mark.parametrize("name", ["grid", "disc", "equilateral", "delaunay"])
+def test_relax_untangles_inside_a_convex_boundary(name):
+    # Tutte 1963; the interior is scattered over the whole plane first.
+    mesh = meshes.disturbed(meshes.VALID[name](), 100.0, 5)
+    assert inverted(mesh) > 10
+    assert inverted(relax(mesh)) == 0
+
+
+def test_relax_forgets_where_the_free_vertices_were():
+    first, second = (relax(meshes.disturbed(meshes.ring(), size, seed)) for size, seed in ((0.1, 1), (3.0, 2)))
+    assert torch.equal(first.points, second.points)
+
+
+# --- harmonic extension ---
+
+
+def test_harmonic_extension_of_any_number_of_columns(rng):
+    mesh = meshes.grid()
+    one = torch.ones(len(mesh.triangles), dtype=torch.float64)
+    values = torch.from_numpy(rng.normal(size=(len(mesh.points), 3)))
+    wide = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, values, mesh.point_offsets)
+    for column in range(3):
+        single = values[:, column : column + 1]
+        narrow = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, single, mesh.point_offsets)
+        torch.testing.assert_close(wide[:, column : column + 1], narrow, rtol=0, atol=1e-14)
+    # No maximum inside (the weights are positive).
+    assert float(wide[~mesh.fixed].max()) < float(values[mesh.fixed].max())
+
+
+def test_harmonic_extension_agrees_with_scipys_solver():
+    from scipy.sparse import csr_matrix
+
+    mesh = meshes.delaunay()
+    k, fixed = csr_matrix(stiffness(mesh)), mesh.fixed.numpy()
+    values = mesh.points[:, :1] ** 2
+    expected = spsolve(k[~fixed][:, ~fixed].tocsc(), -k[~fixed][:, fixed] @ values.numpy()[fixed])
+    weights = cotangent_weights(corners(mesh.points, mesh.triangles))
+    got = harmonic_extension(mesh.triangles, weights, mesh.fixed, values, mesh.point_offsets)
+    np.testing.assert_allclose(got[~mesh.fixed].numpy().ravel(), expected.ravel(), rtol=0, atol=1e-12)

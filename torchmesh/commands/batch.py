@@ -1,0 +1,213 @@
+"""`torchmesh batch`: many mesh files at once, with progress, a manifest, and resumption.
+
+Nothing here imports torch before it is needed.
+"""
+
+import contextlib
+import sys
+import time
+from collections.abc import Iterator
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from . import console
+from .motion_options import UsageError
+from .shared_options import (
+    BetaOption,
+    Boundary,
+    BoundaryOption,
+    Method,
+    MethodOption,
+    QuietOption,
+    Topology,
+    TopologyOption,
+    improve_options,
+)
+
+if TYPE_CHECKING:
+    from ..batches.manifest import FileResult
+    from ..batches.runs import Run
+
+EXAMPLES = (
+    "torchmesh batch 'in/**/*.vtu' --out results",
+    "torchmesh batch in plate.msh --out results --format vtu --workers 2 --budget 20000",
+)
+
+
+# Failures told on standard error; the manifest has all of them.
+_SHOWN = 10
+
+
+class Engine(str, Enum):
+    local = "local"
+    ray = "ray"
+
+
+def batch(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="IN...",
+            help="Mesh files, folders (every mesh file below them) or patterns in quotes, ** for any folders.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder for the results; the inputs' folders come again below it.", show_default=False
+        ),
+    ],
+    engine: Annotated[
+        Engine, typer.Option(help="Processes of this machine, or a Ray cluster (RAY_ADDRESS, or a local one).")
+    ] = Engine.local,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes, of one thread each. Default: one a processor.", show_default=False),
+    ] = None,
+    budget: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="VERTICES", help="Vertices in one batch at most. Default: 30000.", show_default=False
+        ),
+    ] = None,
+    method: MethodOption = Method.default,
+    topology: TopologyOption = Topology.flip,
+    beta: BetaOption = None,
+    boundary: BoundaryOption = Boundary.fixed,
+    suffix: Annotated[
+        str | None,
+        typer.Option("--format", metavar="EXT", help="Extension of the results, as vtu.", show_default=False),
+    ] = None,
+    redo: Annotated[bool, typer.Option("--redo", help="Begin anew, whatever DIR holds from earlier runs.")] = False,
+    quiet: QuietOption = False,
+) -> int:
+    """Improve many mesh files, as torchmesh improve does, on all processors.
+
+    DIR/manifest.jsonl gets a line for each mesh as soon as it is done: file, output, status, inverted triangles and
+    IMR before and after, seconds, error; DIR/manifest.parquet is the same table, written at the end. A file that
+    cannot be read is an error in the manifest, and the rest goes on.
+
+    After an interrupt, a kill or a crash the same command goes on where the last one stopped. Files that have changed
+    since, and errors, are done again.
+
+    The exit status is 1 if any mesh is an error or still has inverted triangles.
+    """
+    from ..batches.runs import BUDGET, Run
+
+    options = improve_options(method, topology, beta, boundary)
+    try:
+        run = Run.plan(sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    for reason, count in run.changed.items():
+        console.say(f"done again: {console.counted(count, 'mesh', 'meshes')} ({reason})")
+    return _run(run, quiet)
+
+
+def _run(run: "Run", quiet: bool) -> int:
+    total, started = len(run.kept) + len(run.jobs), time.perf_counter()
+    tally = Tally(total, len(run.kept), sum(max(job.size, 1) for job in run.jobs))
+    sizes = {job.name: max(job.size, 1) for job in run.jobs}
+    try:
+        with _progress(tally, quiet) as show:
+            for result in run.results():
+                tally.add(result, sizes.get(result.name, 0))
+                show(result)
+    except KeyboardInterrupt:
+        console.say(f"{tally.done:,} of {total:,} meshes are done; the same command goes on from there")
+        raise
+    if not quiet:
+        console.print_counts(
+            f"{run.out}, {time.perf_counter() - started:.1f} s",
+            {
+                "meshes": total,
+                "of an earlier run": len(run.kept),
+                "valid": total - tally.tangled - tally.errors,
+                "not valid": tally.tangled,
+                "errors": tally.errors,
+                "inverted triangles before": tally.inverted_before,
+                "inverted triangles after": tally.inverted_after,
+            },
+        )
+    if tally.tangled or tally.errors:
+        hidden = tally.tangled + tally.errors - _SHOWN
+        more = f"; {hidden:,} more in the manifest" if hidden > 0 else ""
+        console.say(
+            f"not valid: {tally.tangled:,} of {total:,} meshes still have inverted triangles, "
+            f"{tally.errors:,} are errors: {run.out / 'manifest.jsonl'}{more}"
+        )
+    return int(bool(tally.tangled or tally.errors))
+
+
+class Tally:
+    """What a run has come to: counts, and from the bytes done how long the rest will take."""
+
+    def __init__(self, total: int, kept: int, size: int) -> None:
+        self.total, self.kept, self.size = total, kept, size
+        self.done = self.tangled = self.errors = self.inverted_before = self.inverted_after = self.bytes = 0
+
+    def add(self, result: "FileResult", size: int) -> None:
+        self.done += 1
+        self.bytes += size
+        self.errors += result.error is not None
+        self.tangled += result.error is None and not result.valid
+        self.inverted_before += result.inverted_before or 0
+        self.inverted_after += result.inverted_after or 0
+
+    def text(self, seconds: float) -> str:
+        """'120 of 400 meshes, 1 failed, 25.3 a second, 0:00:11 left'"""
+        made, failed = self.done - self.kept, self.tangled + self.errors
+        words = [f"{self.done:,} of {self.total:,} meshes"]
+        words += [f"{failed:,} failed"] if failed else []
+        if made > 0 and seconds > 0:
+            left = seconds * (self.size - self.bytes) / self.bytes
+            words += [f"{made / seconds:.3g} a second", f"{clock(left)} left"]
+        return ", ".join(words)
+
+
+def clock(seconds: float) -> str:
+    """'1:02:03'"""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
+
+
+@contextlib.contextmanager
+def _progress(tally: Tally, quiet: bool) -> Iterator:
+    """A live bar on a terminal, elsewhere a line every ten seconds; failures are lines of their own at once."""
+    told = 0
+
+    def tell(result: "FileResult") -> None:
+        nonlocal told
+        if result.valid or told == _SHOWN:
+            return
+        told += 1
+        if result.error is not None:
+            console.say(f"error: {result.error}")
+        else:
+            console.say(f"not valid: {console.counted(result.inverted_after or 0, 'inverted triangle')} in "
+                        f"{result.output} ({result.message})")  # fmt: skip
+
+    started = time.perf_counter()
+    if quiet or not sys.stderr.isatty():
+        last = started
+
+        def show(result: "FileResult") -> None:
+            nonlocal last
+            tell(result)
+            if not quiet and time.perf_counter() - last >= 10:
+                last = time.perf_counter()
+                console.say(tally.text(last - started))
+
+        yield show
+        return
+    with console.bar(tally.total) as advance:
+
+        def show_bar(result: "FileResult") -> None:
+            tell(result)
+            advance(tally.done, tally.text(time.perf_counter() - started))
+
+        yield show_bar

@@ -1,0 +1,129 @@
+"""What no places of the free vertices can mend while the triangles stay: found by exact signs.
+
+Not everything: whether some places are valid is as hard as a system of quadratic inequalities.
+These are the obstructions that one triangle or the ring round one vertex shows.  (An interior vertex
+of fewer than three triangles, which none could mend either, is no part of an oriented manifold.)
+"""
+
+import itertools
+
+import numpy as np
+
+from ..triangulating.arrays import signs
+
+# Up to this many triangles round a vertex all triples of them are asked; beyond, a linear program.
+_TRIPLES = 14
+
+
+# Vertices judged at once.
+_CHUNK = 1000
+
+
+# What a linear program's maximum must fall short of zero by, in units of the ring's extent.
+_SHORT = 1e-7
+
+
+def fallen_fixed_triangles(points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """(N,) the rows of `triangles` whose three vertices are fixed and which are not upright."""
+    rows = np.flatnonzero(fixed[triangles].all(1))
+    return rows[signs(points, *triangles[rows].T) <= 0]
+
+
+def vertices_without_kernel(
+    points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, inner: np.ndarray, enough: int | None = None
+) -> np.ndarray:
+    """(N,) the free vertices of `inner` (V,) bool for which the fixed ring round them leaves no place.
+
+    enough  having found so many, look no further
+
+    A place is good when it lies strictly left of every edge of the ring.  By Helly's theorem there
+    is none exactly if three of these half-planes have nothing in common.
+    """
+    # A vertex counts if none of its neighbours is free.
+    tied = ~fixed & inner
+    loose = (~fixed)[triangles]
+    lonely = loose.sum(1) == 1
+    other = np.zeros(len(points), bool)
+    other[triangles[~lonely][loose[~lonely]]] = True
+    tied &= ~other
+    rows, place = np.nonzero(tied[triangles])
+    if not len(rows):
+        return rows
+    centre = triangles[rows, place]
+    ring = np.stack([triangles[rows, (place + 1) % 3], triangles[rows, (place + 2) % 3]], 1)
+    order = np.argsort(centre, kind="stable")
+    centre, ring = centre[order], ring[order]
+    vertices, start, degree = np.unique(centre, return_index=True, return_counts=True)
+    found = [vertices[:0]]
+    for d in np.unique(degree).tolist():
+        same = np.flatnonzero(degree == d)
+        chunk = _CHUNK if d <= _TRIPLES else 1
+        for first in range(0, len(same), chunk):
+            if enough is not None and sum(map(len, found)) >= enough:
+                break
+            at = same[first : first + chunk]
+            edges = ring[start[at][:, None] + np.arange(d)]
+            empty = _empty_by_triples(points, edges) if d <= _TRIPLES else _empty_by_program(points, edges)
+            found.append(vertices[at[empty]])
+    return np.sort(np.concatenate(found))
+
+
+def _half_planes(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (M, d, 2) and offsets (M, d): n.p > c left of the edges (M, d, 2), in units of each ring."""
+    xy = points[edges]
+    low, high = xy.min((1, 2)), xy.max((1, 2))
+    extent = np.maximum((high - low).max(1), np.finfo(float).tiny)[:, None, None, None]
+    xy = (xy - low[:, None, None]) / extent
+    a, b = xy[:, :, 0], xy[:, :, 1]
+    normal = np.stack([a[..., 1] - b[..., 1], b[..., 0] - a[..., 0]], -1)
+    return normal, (normal * a).sum(-1)
+
+
+def _empty_by_triples(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(M,) bool: three of each vertex's half-planes, left of `edges` (M, d, 2), have nothing in common."""
+    normal, offset = _half_planes(points, edges)
+    empty = np.zeros(len(edges), bool)
+    for i, j, k in itertools.combinations(range(edges.shape[1]), 3):
+        # Farkas: weights that add the normals to zero and the offsets to no less.
+        n, c = normal[:, [i, j, k]], offset[:, [i, j, k]]
+        weight = np.stack([_cross(n[:, p], n[:, q]) for p, q in ((1, 2), (2, 0), (0, 1))], 1)
+        same = (weight > -1e-12).all(1) | (weight < 1e-12).all(1)
+        total = np.where((weight > -1e-12).all(1), 1, -1) * (weight * c).sum(1)
+        for row in np.flatnonzero(same & (total > -1e-12) & ~empty):
+            empty[row] = _surely_empty(points, edges[row, [i, j, k]])
+    return empty
+
+
+def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+
+def _surely_empty(points: np.ndarray, edges: np.ndarray) -> bool:
+    """Do the open half-planes left of three `edges` (3, 2) have nothing in common, in rational arithmetic?"""
+    from fractions import Fraction
+
+    normal, offset = [], []
+    for a, b in points[edges].tolist():
+        (ax, ay), (bx, by) = (tuple(map(Fraction, p)) for p in (a, b))
+        normal.append((ay - by, bx - ax))
+        offset.append((ay - by) * ax + (bx - ax) * ay)
+    weight = [normal[p][0] * normal[q][1] - normal[p][1] * normal[q][0] for p, q in ((1, 2), (2, 0), (0, 1))]
+    total = sum(w * c for w, c in zip(weight, offset, strict=True))
+    if not any(weight):
+        return False  # parallel to each other: other triples tell
+    return (min(weight) >= 0 and total >= 0) or (max(weight) <= 0 and total <= 0)
+
+
+def _empty_by_program(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(M,) bool: no place is left of all `edges` (M, d, 2) by a margin that rounding explains."""
+    from scipy.optimize import linprog
+
+    normal, offset = _half_planes(points, edges)
+    length = np.maximum(np.linalg.norm(normal, axis=2), np.finfo(float).tiny)
+    normal, offset = normal / length[..., None], offset / length
+    empty = np.zeros(len(edges), bool)
+    for row in range(len(edges)):
+        rows = np.concatenate([-normal[row], np.ones((edges.shape[1], 1))], 1)
+        best = linprog([0, 0, -1], rows, -offset[row], bounds=[(None, None), (None, None), (None, 1)])
+        empty[row] = best.x is not None and best.x[2] < -_SHORT
+    return empty

@@ -1,0 +1,325 @@
+"""Thousands of meshes in one compressed file.
+
+HDF5, because it does all of this with a library that is a dependency anyway: chunks are compressed
+(shuffle and gzip) and carry checksums, a part can be read without the rest, a file can be
+written batch after batch, and other languages read it.  npz unpacks whole arrays to get at one
+mesh, safetensors does not compress, Zarr is a folder of many files and another dependency.
+
+    /               attributes: format, version
+    points          (V, 2) float64 or float32        fixed              (V,) bool
+    triangles       (T, 3) rows of the mesh's own    constrained_edges  (K, 2) likewise
+    *_offsets       (B+1,) int64: points, triangles, constrained_edges     frames  (B, 3, 3)
+    point_fields/*  (V, ...)                         mesh_fields/*      (B, ...)
+
+Vertices are counted from each mesh's own first, so that a mesh can be read alone.
+"""
+
+import contextlib
+import itertools
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InvalidMeshError, MeshIOError
+from ..mesh.batch import MeshBatch
+from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
+from .atomic import replacing
+
+_FORMAT, _VERSION = "torchmesh meshes", 1
+
+
+# Rows of a compressed chunk: some hundred kilobytes, a few meshes of usual size.
+_CHUNK_ROWS = 8192
+
+
+_TABLES = ("points", "triangles", "constrained_edges")
+
+
+# Which meshes: all, one by its number, a slice, or numbers in any order.
+Meshes = int | slice | Sequence[int] | None
+
+
+Fields = Mapping[str, Tensor | Sequence[str]]
+
+
+def save_batch(
+    path: str | os.PathLike[str],
+    batch: MeshBatch,
+    *,
+    point_fields: Mapping[str, Tensor] | None = None,
+    mesh_fields: Fields | None = None,
+) -> None:
+    """Write all meshes of `batch` to one file, losslessly; the file appears whole or not at all.
+
+    point_fields  tensors (V, ...) to go with the points, by name
+    mesh_fields   tensors (B, ...), or B strings, to go with the meshes, by name
+
+    Raises MeshIOError, naming the file, when it cannot be written; InvalidMeshError for a field of another length.
+    """
+    with BatchWriter(path) as writer:
+        writer.append(batch, point_fields=point_fields, mesh_fields=mesh_fields)
+
+
+def load_batch(path: str | os.PathLike[str], meshes: Meshes = None) -> MeshBatch:
+    """The meshes of a file by `save_batch`, on the CPU, bit for bit as they were saved.
+
+    meshes  which of them: a number from 0 (negative from the end), a slice, numbers in any order, or None: all
+
+    Raises MeshIOError, naming the file, if it is none of ours, cut short or damaged; IndexError for a
+    number that is not there.
+    """
+    with BatchFile(path) as file:
+        return file.read(meshes)
+
+
+def load_fields(path: str | os.PathLike[str], meshes: Meshes = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """The point fields (V, ...) and mesh fields (B, ...) of a file by `save_batch`; the rest as `load_batch`."""
+    with BatchFile(path) as file:
+        return file.read_fields(meshes)
+
+
+class BatchWriter:
+    """Writes a file of meshes batch by batch; it takes the place of `path` when the block ends well.
+
+    with tm.BatchWriter("meshes.h5") as writer:
+        writer.append(batch)
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._stack = contextlib.ExitStack()
+        self._fields: set[str] = set()
+        self.meshes = 0
+
+    def __enter__(self) -> "BatchWriter":
+        import h5py
+
+        with contextlib.ExitStack() as stack:
+            target = stack.enter_context(replacing(self.path))
+            with _as_our_errors(self.path, "cannot be written"):
+                self._file = stack.enter_context(h5py.File(target, "w", track_order=True))
+            self._file.attrs["format"], self._file.attrs["version"] = _FORMAT, _VERSION
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None and not self.meshes:
+            error = InvalidMeshError(f"{self.path}: no mesh was appended")
+            self._stack.__exit__(type(error), error, None)
+            raise error
+        self._stack.__exit__(kind, error, trace)
+
+    def append(
+        self,
+        batch: MeshBatch,
+        *,
+        point_fields: Mapping[str, Tensor] | None = None,
+        mesh_fields: Fields | None = None,
+    ) -> None:
+        """Add the meshes of `batch` behind those written so far, all of one dtype and with fields of the same names."""
+        fields: list[tuple[str, Tensor | Sequence[str], int]] = []
+        fields += [(f"point_fields/{k}", v, len(batch.points)) for k, v in (point_fields or {}).items()]
+        fields += [(f"mesh_fields/{k}", v, len(batch)) for k, v in (mesh_fields or {}).items()]
+        for name, values, count in fields:
+            if "/" in name.split("/", 1)[1] or not name.split("/", 1)[1]:
+                raise InvalidMeshError(f"{name}: a field's name is not empty and has no slash")
+            if len(values) != count:
+                raise InvalidMeshError(f"{name} must have {count} rows, not {len(values)}")
+        if self.meshes and {name for name, _, _ in fields} != self._fields:
+            raise InvalidMeshError(f"{self.path}: every batch must have the fields {sorted(self._fields)}")
+        self._fields = {name for name, _, _ in fields}
+        owner = batch._constraint_owner()
+        tables = {
+            "points": batch.points,
+            "fixed": batch.fixed,
+            "triangles": batch.triangles - spread(batch.point_offsets[:-1], batch.triangle_offsets)[:, None],
+            "constrained_edges": batch.constrained_edges - batch.point_offsets[owner][:, None],
+            "frames": batch.frames,
+        }
+        offsets = {
+            "points": batch.point_offsets,
+            "triangles": batch.triangle_offsets,
+            "constrained_edges": offsets_from_counts(torch.bincount(owner, minlength=len(batch))),
+        }
+        # Constrained edges are stored mesh by mesh, whatever their order was.
+        order = torch.argsort(owner, stable=True)
+        tables["constrained_edges"] = tables["constrained_edges"][order]
+        with _as_our_errors(self.path, "cannot be written"):
+            for name, ends in offsets.items():
+                dataset = self._file.get(f"{name}_offsets")
+                last = 0 if dataset is None else int(dataset[-1])
+                self._add(f"{name}_offsets", ends[0 if dataset is None else 1 :] + last)
+            for name, values in tables.items():
+                self._add(name, values)
+            for name, values, _ in fields:
+                self._add(name, values)
+        self.meshes += len(batch)
+
+    def _add(self, name: str, values: Tensor | Sequence[str]) -> None:
+        import h5py
+
+        if isinstance(values, Tensor):
+            rows = values.detach().cpu().numpy()
+            if name in ("triangles", "constrained_edges"):
+                rows = rows.astype(np.int32 if not rows.size or rows.max() < 2**31 else np.int64)
+            kind = rows.dtype
+        else:
+            rows, kind = np.array(list(values), dtype=object), h5py.string_dtype()
+        dataset = self._file.get(name)
+        if dataset is None:
+            dataset = self._file.create_dataset(
+                name,
+                shape=(0, *rows.shape[1:]),
+                maxshape=(None, *rows.shape[1:]),
+                dtype=kind,
+                chunks=(_CHUNK_ROWS, *rows.shape[1:]),
+                compression="gzip",
+                shuffle=True,
+                fletcher32=isinstance(values, Tensor),
+            )
+        elif dataset.dtype != kind or dataset.shape[1:] != rows.shape[1:]:
+            raise InvalidMeshError(
+                f"{self.path}: {name} was {dataset.dtype} {dataset.shape[1:]} and is now {kind} {rows.shape[1:]}"
+            )
+        start = len(dataset)
+        dataset.resize(start + len(rows), axis=0)
+        dataset[start:] = rows
+
+
+class BatchFile:
+    """A file by `save_batch`, open for reading parts of it.
+
+    with tm.BatchFile("meshes.h5") as file:
+        print(len(file)); mesh = file.read(7)
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        import h5py
+
+        self.path = Path(path)
+        with _as_our_errors(self.path, "cannot be read"):
+            self._file = h5py.File(self.path, "r")
+            if self._file.attrs.get("format") != _FORMAT:
+                raise MeshIOError(f"{path}: this is HDF5, but no file of torchmesh.save_batch")
+            if self._file.attrs["version"] > _VERSION:
+                raise MeshIOError(f"{path}: written by a newer torchmesh (version {self._file.attrs['version']})")
+            missing = [
+                n for n in (*_TABLES, *(f"{t}_offsets" for t in _TABLES), "fixed", "frames") if n not in self._file
+            ]
+            if missing:
+                raise MeshIOError(f"{path}: damaged, it lacks {', '.join(missing)}")
+            self._offsets = {name: self._ends(name) for name in _TABLES}
+        if len({len(ends) for ends in self._offsets.values()} | {len(self._file["frames"]) + 1}) > 1:
+            raise MeshIOError(f"{path}: damaged, its tables differ in their number of meshes")
+        if len(self._file["fixed"]) != len(self._file["points"]):
+            raise MeshIOError(f"{path}: damaged, 'fixed' and 'points' differ in length")
+
+    def _ends(self, name: str) -> np.ndarray:
+        """(B+1,) where each mesh's rows of a table begin and end."""
+        ends = self._file[f"{name}_offsets"][:].astype(np.int64)
+        if not len(ends) or ends[0] != 0 or (np.diff(ends) < 0).any() or ends[-1] != len(self._file[name]):
+            raise MeshIOError(f"{self.path}: damaged, {name}_offsets do not fit {name}")
+        return ends
+
+    def __len__(self) -> int:
+        return len(self._offsets["points"]) - 1
+
+    @property
+    def point_fields(self) -> list[str]:
+        """The names of the fields that go with the points."""
+        return list(self._file.get("point_fields", ()))
+
+    def __enter__(self) -> "BatchFile":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; what was read stays."""
+        self._file.close()
+
+    def read(self, meshes: Meshes = None) -> MeshBatch:
+        """Some of the meshes as one batch; see `load_batch`."""
+        rows = self._rows(meshes)
+        with _as_our_errors(self.path, "cannot be read"):
+            points, fixed = self._gather("points", "points", rows), self._gather("fixed", "points", rows)
+            triangles = self._gather("triangles", "triangles", rows).to(torch.int64)
+            edges = self._gather("constrained_edges", "constrained_edges", rows).to(torch.int64)
+            frames = self._gather("frames", None, rows)
+        ends = {name: self._counted(name, rows) for name in _TABLES}
+        count = counts_from_offsets(ends["points"])
+        for name, corners in (("triangles", triangles), ("constrained_edges", edges)):
+            if bool(((corners < 0) | (corners >= spread(count, ends[name])[:, None])).any()):
+                raise MeshIOError(f"{self.path}: damaged, {name} name points that are not there")
+        first = ends["points"][:-1]
+        return MeshBatch(
+            points,
+            triangles + spread(first, ends["triangles"])[:, None],
+            fixed.to(torch.bool),
+            edges + spread(first, ends["constrained_edges"])[:, None],
+            ends["points"],
+            ends["triangles"],
+            frames,
+        )
+
+    def read_fields(self, meshes: Meshes = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Point fields and mesh fields of some of the meshes; see `load_fields`."""
+        rows = self._rows(meshes)
+        out: tuple[dict[str, Tensor], dict[str, Any]] = {}, {}
+        with _as_our_errors(self.path, "cannot be read"):
+            for group, table, record in zip(("point_fields", "mesh_fields"), ("points", None), out, strict=True):
+                for name in self._file.get(group, ()):
+                    record[name] = self._gather(f"{group}/{name}", table, rows)
+        return out
+
+    def _rows(self, meshes: Meshes) -> np.ndarray:
+        """(B',) the numbers of the meshes asked for."""
+        everything = np.arange(len(self))
+        if meshes is None:
+            return everything
+        if isinstance(meshes, slice):
+            return everything[meshes]
+        wanted = np.atleast_1d(np.asarray(meshes))
+        if wanted.size and not np.issubdtype(wanted.dtype, np.integer):
+            raise TypeError(f"meshes are asked for by whole numbers or a slice, not {wanted.dtype}")
+        bad = wanted[(wanted < -len(self)) | (wanted >= len(self))]
+        if len(bad):
+            raise IndexError(f"{self.path} has {len(self)} meshes; there is no mesh {int(bad[0])}")
+        return wanted.astype(np.int64) % max(1, len(self))
+
+    def _counted(self, name: str, rows: np.ndarray) -> Tensor:
+        return offsets_from_counts(torch.from_numpy(np.diff(self._offsets[name])[rows]))
+
+    def _gather(self, name: str, table: str | None, rows: np.ndarray) -> Any:
+        """The rows of a dataset that belong to the meshes `rows`, runs of neighbours read at once."""
+        dataset = self._file[name]
+        ends = np.arange(len(self) + 1) if table is None else self._offsets[table]
+        breaks = np.flatnonzero(np.diff(rows) != 1) + 1
+        runs = itertools.pairwise([0, *breaks.tolist(), len(rows)])
+        parts = [dataset[ends[rows[i]] : ends[rows[j - 1] + 1]] for i, j in runs if j > i]
+        if dataset.dtype.kind == "O":
+            return [value.decode() for part in parts for value in part]
+        return torch.from_numpy(np.concatenate(parts) if parts else dataset[:0])
+
+
+@contextlib.contextmanager
+def _as_our_errors(path: Path, what: str) -> Iterator[None]:
+    """What h5py raises for missing, foreign, short and damaged files, as a MeshIOError that names the file."""
+    try:
+        yield
+    except (MeshIOError, InvalidMeshError):
+        raise
+    except FileNotFoundError:
+        raise MeshIOError(f"{path}: there is no such file") from None
+    except (OSError, KeyError, RuntimeError, ValueError) as error:
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        raise MeshIOError(f"{path}: {what}; not a file of torchmesh.save_batch, or damaged: {reason}") from None

@@ -1,0 +1,181 @@
+"""Time series in one file: many steps, each with its own data and, where the boundary moves, its own mesh.
+
+XDMF holds them (a temporal collection of grids; ParaView, FEniCS and others write it).  Steps that share
+one mesh are one mesh of the batch:
+
+    steps     0  1  2  3  4
+    meshes    0  0  1  2  2        series.mesh_of_step
+"""
+
+import copy
+import os
+import re
+import tempfile
+import warnings
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from ..errors import InvalidMeshError, MeshIOError, MeshWarning
+from ..mesh.batch import MeshBatch, join
+from . import formats
+from .atomic import replacing
+from .formats import Document
+from .mesh_files import Source, content_for
+
+_INCLUDE = re.compile(r"include$")
+
+
+# As meshio and ParaView, FEniCS, and dolfinx name the grid whose mesh a step has.
+_NAMED = re.compile(r"""Grid\[@Name\s*=\s*["']([^"']*)["']\](?:/Grid\[(\d+)\])?""")
+
+
+_UNIFORM = re.compile(r"""Grid\[@GridType\s*=\s*["']Uniform["']\](?:\[(\d+)\])?""")
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """The steps of a file.
+
+    batch         the M meshes that differ
+    times         (S,) the time of each step, in the file's unit
+    mesh_of_step  (S,) for each step its mesh in the batch
+    sources       (S,) what `write_series` needs to know of each
+    """
+
+    batch: MeshBatch
+    times: list[float]
+    mesh_of_step: list[int]
+    sources: list[Source]
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+def read_series(path: str | os.PathLike[str]) -> Series:
+    """The steps of an XDMF time series; any other mesh file is a series of one step at time 0.
+
+    Regions, lines and fixed vertices are told for each step as by `read`; of steps whose vertices,
+    cells, `fixed` and regions agree one mesh is made.
+
+    Raises MeshIOError, InvalidMeshError and MissingDependencyError as `read` does; the step is named.
+    """
+    path = Path(path)
+    if not formats.is_series(path):
+        source = Source.open(path)
+        return Series(source.mesh, [0.0], [0], [source])
+    steps = _xdmf_steps(path)
+    sources: list[Source] = []
+    meshes: list[MeshBatch] = []
+    number: dict[bytes, int] = {}
+    mesh_of_step = []
+    for step, (_, mesh) in enumerate(steps):
+        try:
+            source = Source.of(Document(mesh, "xdmf"), path)
+        except InvalidMeshError as error:
+            raise InvalidMeshError(f"step {step} of {error}") from None
+        m = source.mesh
+        key = b"".join(
+            np.ascontiguousarray(a).tobytes() + str(a.shape).encode()
+            for a in (source.content.mesh.points, m.triangles.numpy(), m.fixed.numpy(), m.constrained_edges.numpy())
+        )
+        if key not in number:
+            number[key] = len(meshes)
+            meshes.append(m)
+        mesh_of_step.append(number[key])
+        sources.append(source)
+    return Series(join(meshes), [time for time, _ in steps], mesh_of_step, sources)
+
+
+def write_series(path: str | os.PathLike[str], batch: MeshBatch, like: Series) -> None:
+    """Writes the steps of `like` at the vertices and triangles of `batch`, all or nothing.
+
+    batch  as many meshes as `like.batch` has, in its order; data is carried over as by `write`
+
+    A series of several steps becomes .xdmf (its data as text in the one file), a single step any
+    format.  Raises as `write` does.
+    """
+    path = Path(path)
+    meshes = batch.split()
+    if len(meshes) != len(like.batch):
+        raise InvalidMeshError(f"{path}: the series has {len(like.batch)} meshes, the batch has {len(meshes)}")
+    form = formats.format_of(path)
+    if len(like) > 1 and form != "xdmf":
+        raise MeshIOError(f"{path}: {form} files hold one step, the series has {len(like)}: write .xdmf")
+    if len(like) == 1:
+        document, content, same_rows = content_for(path, meshes[0], like.sources[0])
+        formats.save(path, content, document, same_rows)
+        return
+    root = ET.Element("Xdmf", Version="3.0")
+    collection = ET.SubElement(
+        ET.SubElement(root, "Domain"), "Grid", Name="TimeSeries", GridType="Collection", CollectionType="Temporal"
+    )
+    said: list[str] = []
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always", MeshWarning)
+        for step, (time, m, source) in enumerate(zip(like.times, like.mesh_of_step, like.sources, strict=True)):
+            _, content, same_rows = content_for(path, meshes[m], source)
+            one = Path(folder) / f"{path.stem}.xdmf"
+            formats.save(one, content, None, same_rows)
+            grid = ET.parse(one).getroot().find("Domain/Grid")
+            assert grid is not None
+            grid.attrib.update({"Name": f"step {step}", "GridType": "Uniform"})
+            grid.insert(0, ET.Element("Time", Value=repr(float(time))))
+            collection.append(grid)
+        said = list(dict.fromkeys(str(r.message).replace(str(one), str(path)) for r in remarks))
+    with replacing(path) as made:
+        ET.ElementTree(root).write(made, encoding="utf-8", xml_declaration=True)
+    for text in said:
+        warnings.warn(MeshWarning(text), stacklevel=2)
+
+
+def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
+    """Time and mesh of each step: each grid of the collection as a document of its own, read by meshio."""
+    with formats.reading(path, "xdmf"):
+        domain = ET.parse(path).getroot().find("Domain")
+        if domain is None:
+            raise ValueError("it has no Domain")
+        collections = [g for g in domain.iter("Grid") if g.get("CollectionType") == "Temporal"]
+        if len(collections) != 1:
+            raise ValueError(f"it has {len(collections)} time series; one at a time can be read")
+        steps = []
+        for number, grid in enumerate(collections[0].findall("Grid")):
+            if grid.get("GridType", "Uniform") != "Uniform":
+                raise ValueError(f"step {number} is a collection of grids; give each part its own file")
+            time = grid.find("Time")
+            value = float(time.get("Value", number)) if time is not None else float(number)
+            alone = ET.Element("Grid")
+            for part in grid:
+                if isinstance(part.tag, str) and _INCLUDE.search(part.tag):
+                    alone.extend(_included(domain, part))
+                elif part.tag != "Time":
+                    alone.append(part)
+            root = ET.Element("Xdmf", Version="3.0")
+            ET.SubElement(root, "Domain").append(alone)
+            mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(root)
+            if mesh.points is None or not mesh.cells:
+                raise ValueError(f"step {number} has no Geometry or no Topology")
+            steps.append((value, mesh))
+    if not steps:
+        raise MeshIOError(f"{path}: its time series has no steps")
+    return steps
+
+
+def _included(domain: ET.Element, include: ET.Element) -> list[ET.Element]:
+    """The topology and geometry of the grid that an XInclude names."""
+    words = include.get("xpointer", "")
+    if found := _NAMED.search(words):
+        grids = [grid for grid in domain.iter("Grid") if grid.get("Name") == found[1]]
+        if grids and found[2]:
+            grids = grids[0].findall("Grid")[int(found[2]) - 1 :]
+    elif found := _UNIFORM.search(words):
+        grids = domain.findall("Grid[@GridType='Uniform']")[int(found[1] or 1) - 1 :]
+    else:
+        raise ValueError(f"the reference {words!r} is not understood")
+    parts = [copy.deepcopy(part) for grid in grids[:1] for part in grid if part.tag in ("Topology", "Geometry")]
+    if not parts:
+        raise ValueError(f"the reference {words!r} leads to no grid with Topology and Geometry")
+    return parts

@@ -1,0 +1,93 @@
+"""Step 1: edge flips towards a Delaunay mesh, over a batch."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ..mesh import connectivity
+from ..mesh.batch import MeshBatch
+from ..mesh.neighbourhoods import constrained_half_edges
+from ..mesh.ragged import spread
+from ..mesh.units import centre_and_unit
+from ..optimising.targets import MetricField
+from .metric_rule import MetricRule
+from .rounds import flip_rounds
+from .rules import kim_rule, safe_rule, shape_rule
+
+_RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
+
+
+@dataclass(frozen=True)
+class FlipOptions:
+    """How `flip_to_delaunay` flips.
+
+    rule        "safe": towards a lower sum of |area|, and Delaunay between upright pairs; never more
+                inverted area, never more inverted triangles.  "kim": opposite angles above pi, both
+                new triangles upright (Kim 2017, Step 1)
+    once        an edge made by a flip is not flipped again in this call (one pass of Kim 2017)
+    max_rounds  rounds of conflict-free flips at most
+    """
+
+    rule: Literal["safe", "kim", "shape"] = "safe"
+    once: bool = False
+    max_rounds: int = 10_000
+
+    def __post_init__(self) -> None:
+        if self.rule not in _RULES:
+            raise ValueError(f"FlipOptions.rule must be one of {sorted(_RULES)}, not {self.rule!r}")
+        if self.max_rounds < 1:
+            raise ValueError(f"FlipOptions.max_rounds must be at least 1, not {self.max_rounds}")
+
+    @classmethod
+    def paper(cls) -> "FlipOptions":
+        """One pass of Kim 2017's Step 1."""
+        return cls(rule="kim", once=True)
+
+
+@dataclass(frozen=True, eq=False)
+class FlipInfo:
+    """What `flip_to_delaunay` did.
+
+    flips  (B,) int64 edges flipped in each mesh
+    twin   (3T,) int64 twins of the flipped mesh, so that nobody need sort its edges again
+    """
+
+    flips: Tensor
+    twin: Tensor
+
+
+def flip_to_delaunay(
+    batch: MeshBatch,
+    options: FlipOptions | None = None,
+    *,
+    twin: Tensor | None = None,
+    around: Tensor | None = None,
+    metric: MetricField | None = None,
+) -> tuple[MeshBatch, FlipInfo]:
+    """Flip edges until every interior, unconstrained edge between upright triangles is Delaunay.
+
+    Delaunay by exact in-circle signs; edges of four points on one circle stay as they are.
+    Vertices, boundary and constrained edges are untouched; triangles keep their number.
+
+    twin    (3T,) twins of `batch`, if the caller has them
+    around  (T,) bool, start from the edges of these triangles only
+    metric  flip, in place of the rule in the options, towards triangles that are equilateral in it
+    """
+    options = options or FlipOptions()
+    twin = connectivity.twins(batch.triangles) if twin is None else twin
+    # A power of two changes no sign and keeps every product of the rules in range.
+    unit = centre_and_unit(batch.points, batch.point_offsets)[1]
+    triangles, twin, log = flip_rounds(
+        batch.points.to(torch.float64) / spread(unit, batch.point_offsets)[:, None],
+        batch.triangles,
+        twin,
+        constrained_half_edges(batch, twin),
+        _RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
+        once=options.once,
+        max_rounds=options.max_rounds,
+        around=around,
+    )
+    owner = torch.bucketize(log, batch.triangle_offsets[1:], right=True)
+    return batch.with_triangles(triangles), FlipInfo(torch.bincount(owner, minlength=len(batch)), twin)

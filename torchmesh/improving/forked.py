@@ -1,0 +1,113 @@
+"""One batch over several processes: runs of meshes, each worked on in a forked copy of this process.
+
+Python's threads do not help: the work is many short tensor operations, between which threads wait
+for each other.  A fork shares the batch without a copy, starts in milliseconds, and sends back its
+results only.  Meshes do not touch each other, so the result is the same to the bit.
+"""
+
+import contextlib
+import multiprocessing
+import pickle
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from ..errors import MeshWarning
+
+# Triangles in a shard at least, below which a process costs more than it saves, and about, at most:
+# what a stage reads and writes of more does not stay in the cache.
+_LEAST, _MOST = 20_000, 100_000
+
+
+_R = TypeVar("_R")
+
+
+def can_fork(device: torch.device) -> bool:
+    """Is it safe here to fork a process that works on tensors of `device`?
+
+    On Linux, with one Python thread, outside a daemonic worker (whose children are not allowed).
+    """
+    return (
+        sys.platform == "linux"
+        and device.type == "cpu"
+        and threading.active_count() == 1
+        and not multiprocessing.current_process().daemon
+    )
+
+
+def shard_borders(triangle_offsets: Tensor, workers: int) -> list[int]:
+    """Where to cut the meshes of a batch, (B+1,) offsets, into runs of like numbers of triangles.
+
+    [0, ..., B]: as many runs for every worker, and one run if they would be too short to pay.
+    """
+    meshes, total = len(triangle_offsets) - 1, int(triangle_offsets[-1])
+    workers = min(workers, meshes, total // _LEAST)
+    if workers < 2:
+        return [0, meshes]
+    runs = workers * -(-total // (workers * _MOST))
+    goals = torch.arange(1, runs, device=triangle_offsets.device) * total // runs
+    inner = torch.searchsorted(triangle_offsets, goals).unique().tolist()
+    return [0, *(cut for cut in inner if 0 < cut < meshes), meshes]
+
+
+def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Iterator[_R]:
+    """task(0), ..., task(count - 1) in order, computed in `workers` forks of this process.
+
+    An exception of the task is raised here.  What a worker that dies has not finished is computed
+    in this process, with a MeshWarning.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+
+    global _task
+    _task = task
+    try:
+        context = multiprocessing.get_context("fork")
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            with warnings.catch_warnings():
+                # torch's idle threads are there at the fork; the workers use none.
+                warnings.simplefilter("ignore", DeprecationWarning)
+                futures = [pool.submit(_pickled, i) for i in range(count)]
+            try:
+                for i, future in enumerate(futures):
+                    try:
+                        result = pickle.loads(future.result())
+                    except BrokenProcessPool:
+                        message = "a worker process died, perhaps for want of memory; its meshes are done here"
+                        warnings.warn(MeshWarning(message), stacklevel=2)
+                        result = task(i)
+                    yield result
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+    finally:
+        _task = None
+
+
+# What the forks find to do.
+_task: Callable[[int], Any] | None = None
+
+
+def _pickled(i: int) -> bytes:
+    # As bytes: torch would hand every tensor over in a shared file of its own.
+    assert _task is not None
+    return pickle.dumps(_task(i), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Tensor operations on one thread while inside.
+
+    The operations are short; a second thread gains little, and where its core is busy with
+    something else every operation waits for it.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

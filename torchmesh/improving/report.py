@@ -1,0 +1,176 @@
+"""What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from ..errors import ConvergenceError
+from ..mesh.measure import Quality
+from ..remeshing.sizing import SizeConformity
+from ..status import Status
+
+if TYPE_CHECKING:
+    from ..mesh.vertex_map import VertexMap
+    from ..remeshing.remeshing import RemeshInfo
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of the paper's tables for one mesh: its state after a stage, and what the stage took.
+
+    pockets are those re-triangulated; kept is false where the stage was a try that brought no fewer
+    inverted triangles, so that the mesh went back; seconds are wall time of the stage, shared by all
+    the meshes that were in it.
+    """
+
+    stage: str
+    mean: float
+    max: float
+    inverted: int
+    flips: int
+    iterations: int
+    seconds: float
+    pockets: int = 0
+    kept: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What `improve` did, per mesh (B,).
+
+    status     int64 `Status`
+    valid      bool, every triangle is upright by exact sign
+    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given; no
+               fixed vertex has moved but those that slide
+    quality    `Quality` at the end
+    steps      for every mesh its rows of the paper's tables, in order
+    messages   for every mesh, why it ended
+    moved      int64 vertices that are not where they were given (under topology "full": before any is added)
+    remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
+               vertices; None under the other topologies
+    sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None where no sizes were
+               asked for and vertices keep their number.  Under "flip" sizes given by vertex are compared as they
+               have travelled, times what makes the number of vertices do
+    """
+
+    status: Tensor
+    valid: Tensor
+    certified: Tensor
+    quality: Quality
+    steps: list[list[Step]]
+    messages: list[str]
+    moved: Tensor
+    remeshed: "RemeshInfo | None" = None
+    sizes: SizeConformity | None = None
+
+    @property
+    def vertex_map(self) -> "VertexMap | None":
+        """How the returned vertices answer to the given ones; None where they are the same."""
+        return None if self.remeshed is None else self.remeshed.vertex_map
+
+    @property
+    def flipped(self) -> Tensor:
+        """(B,) int64 edges flipped in all stages together."""
+        return self._total("flips")
+
+    @property
+    def pockets(self) -> Tensor:
+        """(B,) int64 pockets re-triangulated."""
+        return self._total("pockets")
+
+    @property
+    def worked(self) -> list[str]:
+        """For every mesh the stage that left no inverted triangle: "initial" if it had none, "" if none did."""
+        return [next((step.stage for step in steps if step.inverted == 0), "") for steps in self.steps]
+
+    def _size_record(self, b: int) -> dict[str, Any]:
+        assert self.sizes is not None
+        rows = {"mean": self.sizes.mean, "p5": self.sizes.low, "p95": self.sizes.high}
+        return {name: _plain(float(values[b])) for name, values in rows.items()}
+
+    def _total(self, name: str) -> Tensor:
+        sums = [sum(getattr(step, name) for step in steps) for steps in self.steps]
+        return torch.tensor(sums, dtype=torch.int64, device=self.status.device)
+
+    def check(self) -> "Report":
+        """Raise ConvergenceError, naming the meshes, unless every mesh is valid; else return the report."""
+        failed = (~self.valid).nonzero().squeeze(1).tolist()
+        if failed:
+            shown = "; ".join(
+                f"mesh {b}: {int(self.quality.inverted[b])} inverted, {self.messages[b]}" for b in failed[:10]
+            )
+            more = f"; and {len(failed) - 10} more" if len(failed) > 10 else ""
+            raise ConvergenceError(f"{len(failed)} of {len(self.valid)} meshes are not valid: {shown}{more}")
+        return self
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """One plain record a mesh, for JSON: None stands for what is infinite."""
+        worked, flipped, pockets = self.worked, self.flipped.tolist(), self.pockets.tolist()
+        return [
+            {
+                "mesh": b,
+                "status": Status(int(self.status[b])).name.lower(),
+                "message": self.messages[b],
+                "valid": bool(self.valid[b]),
+                "certified": bool(self.certified[b]),
+                "tried": list(dict.fromkeys(step.stage for step in self.steps[b][1:])),
+                "worked": worked[b],
+                "moved": int(self.moved[b]),
+                "flipped": flipped[b],
+                "pockets": pockets[b],
+                **({} if self.sizes is None else {"edge_length_over_size": self._size_record(b)}),
+                "steps": [{name: _plain(value) for name, value in vars(step).items()} for step in self.steps[b]],
+            }
+            for b in range(len(self.valid))
+        ]
+
+
+def join_reports(reports: list[Report]) -> Report:
+    """The report on the joined meshes of several; not for those of topology "full"."""
+    return Report(
+        torch.cat([r.status for r in reports]),
+        torch.cat([r.valid for r in reports]),
+        torch.cat([r.certified for r in reports]),
+        Quality(*(torch.cat([getattr(r.quality, f.name) for r in reports]) for f in fields(Quality))),
+        [steps for r in reports for steps in r.steps],
+        [message for r in reports for message in r.messages],
+        torch.cat([r.moved for r in reports]),
+        sizes=_join_sizes(reports),
+    )
+
+
+def _join_sizes(reports: list[Report]) -> SizeConformity | None:
+    if all(r.sizes is None for r in reports):
+        return None
+    nothing = [torch.full_like(r.quality.mean, torch.nan) for r in reports]
+    columns = ([n if r.sizes is None else getattr(r.sizes, f.name) for r, n in zip(reports, nothing, strict=True)]
+               for f in fields(SizeConformity))  # fmt: skip
+    return SizeConformity(*(torch.cat(column) for column in columns))
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where `improve` is: the stage, meshes in it, their inverted triangles, and within a
+    minimisation its iteration and total energy."""
+
+    stage: str
+    meshes: int
+    inverted: int
+    iteration: int = 0
+    energy: float | None = None
+
+
+def left_over(why: str, steps: list[Step], keep: bool) -> str:
+    """`why` a mesh ended tangled, with what is left, what was tried and, if triangles were kept, what may help."""
+    tried = dict.fromkeys(step.stage for step in steps[1:])
+    text = f"{why}; {steps[-1].inverted} inverted triangles are left after {', '.join(tried)}"
+    hint = ": these triangles may have no valid places; topology 'flip' may change their edges"
+    return text + hint if keep else text
+
+
+def _plain(value: Any) -> Any:
+    """`value`, or None for a number that JSON does not have."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

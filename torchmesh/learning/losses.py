@@ -1,0 +1,169 @@
+"""Energies of a mesh as losses: differentiable in `points`, finite and with finite gradients everywhere.
+
+    loss = tm.losses.untangle_beta(network(mesh), mesh).mean()
+
+Each takes points (V, 2), float32 or float64, and the batch whose triangles they belong to.  The
+batch's own points, as an undeformed mesh or the input of a network, give the scale where a loss
+needs one; they are constants.  Losses are per mesh (B,) by default, the mean over its triangles, or
+per triangle (T,), in both cases without unit.  The formulae are those of `energies`.  All can be
+differentiated twice.
+
+    inverse_mean_ratio  shape; 1 for equilateral triangles
+    untangle_beta       zero when no triangle is inverted or nearly so
+    regularised         shape and size, grows without bound as inverted triangles get worse
+    minimum_jacobian    zero when every triangle keeps a part of its area; looks at the worst triangle
+"""
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ..errors import InvalidMeshError
+from ..mesh.batch import MeshBatch, triangle_mesh
+from ..mesh.measure import upright
+from ..mesh.ragged import counts_from_offsets, segment_sum, spread
+from ..mesh.triangle import SQRT3, corners, signed_area
+from ..optimising.energies import (
+    InverseMeanRatio,
+    Regularised,
+    Target,
+    UntangleBeta,
+    equilateral,
+    invariants,
+    target_of,
+    whole_power,
+)
+from ..untangling.local_size import local_size
+
+Per = Literal["mesh", "triangle"]
+
+
+# The stretch added to every triangle: that of one a millionth as large as the mean.
+_NO_SIZE = 1e-12
+
+
+def inverse_mean_ratio(
+    points: Tensor, mesh: MeshBatch, *, power: int = 1, limit: float = 10.0, per: Per = "mesh"
+) -> Tensor:
+    """q^power, q the inverse mean ratio (Kim 2017, equations 3 and 4): 1 for an equilateral triangle.
+
+    limit  above this q, and for inverted triangles, q goes on along its tangent as a function of the
+           signed mean ratio 1/q = 2 det / stretch: to 2 limit for a flat triangle, and on to
+           2 limit + limit^2 for the mirror image of an equilateral one
+
+    A triangle of no size counts as flat and has no gradient.  ValueError for power < 1 or limit <= 1.
+    """
+    if power < 1:
+        raise ValueError(f"power must be at least 1, not {power}")
+    if not limit > 1:
+        raise ValueError(f"limit must be above 1, the ideal, not {limit}")
+    stretch, det = _invariants(points, mesh, equilateral(_mean_side(points, mesh)))
+    lowest = 1 / limit
+    # The stretch is 2 for an equilateral triangle of mean area: this only matters to those of (nearly) no size.
+    stretch = stretch + _NO_SIZE
+    ratio = 2 * det / stretch
+    good = ratio >= lowest
+    # stretch and det of the triangle itself, or of an equilateral one, whose slopes then are not used.
+    exact = InverseMeanRatio(power).value(torch.where(good, stretch, 2.0), torch.where(good, det, 1.0))
+    tangent = whole_power((2 * lowest - ratio) / lowest**2, power)
+    return _reduced(torch.where(good, exact, tangent), mesh, per)
+
+
+def untangle_beta(points: Tensor, mesh: MeshBatch, *, beta: float = 0.01, per: Per = "mesh") -> Tensor:
+    """Knupp's untangle-beta, max(beta - A, 0)^2 (Kim 2017, equations 1 and 2), A in units of the mean area of `mesh`.
+
+    beta  the area, as a part of the mean absolute area of the mesh in `mesh`, below which a triangle counts
+    """
+    if not beta >= 0:
+        raise ValueError(f"beta must not be negative, but is {beta}")
+    # An equilateral triangle of the mean area has det = 1: half its determinant is half its area.
+    stretch, det = _invariants(points, mesh, equilateral(_mean_side(points, mesh)))
+    return _reduced(UntangleBeta(beta).value(stretch, 2 * det), mesh, per)
+
+
+def regularised(
+    points: Tensor,
+    mesh: MeshBatch,
+    *,
+    eps: float = 0.1,
+    theta: float = 1 / 128,
+    reference: bool = False,
+    per: Per = "mesh",
+) -> Tensor:
+    """The foldover-free functional (Garanzha et al. 2021), with a target triangle for each triangle.
+
+    eps        its regularisation: the smaller, the harder an inverted triangle is punished
+    theta      weight of area against shape
+    reference  True: the triangle of `mesh` is the target, and `mesh` must be valid (InvalidMeshError);
+               False: equilateral, of the local size in `mesh`
+    """
+    if not eps > 0:
+        raise ValueError(f"eps must be positive, not {eps}: at 0 the loss of a flat triangle is infinite")
+    if not 0 <= theta < 1:
+        raise ValueError(f"theta must be from 0 to below 1, not {theta}")
+    if reference:
+        target = _reference(points, mesh)
+    else:
+        with torch.no_grad():
+            target = equilateral(local_size(mesh)[mesh.triangles].mean(1).to(points))
+    return _reduced(Regularised(eps, theta).value(*_invariants(points, mesh, target)), mesh, per)
+
+
+def minimum_jacobian(
+    points: Tensor, mesh: MeshBatch, *, threshold: float = 0.1, reference: bool = True, per: Per = "mesh"
+) -> Tensor:
+    """max(threshold - J, 0), J the Jacobian determinant of each triangle, per mesh for its smallest J.
+
+    threshold  the J from which on nothing is punished
+    reference  True: J is the area over the area in `mesh`, which must be valid (InvalidMeshError);
+               False: over the mean absolute area of the mesh in `mesh`
+
+    Per mesh only the worst triangle has a gradient (equally bad ones share it); per triangle each has its own.
+    """
+    target = _reference(points, mesh) if reference else equilateral(_mean_side(points, mesh))
+    _, det = _invariants(points, mesh, target)
+    if per == "mesh":
+        owner = triangle_mesh(mesh)
+        det = det.new_full((len(mesh),), torch.inf).scatter_reduce(0, owner, det, "amin")
+        return (threshold - det).clamp_min(0)
+    return _reduced((threshold - det).clamp_min(0), mesh, per)
+
+
+def _invariants(points: Tensor, mesh: MeshBatch, target: Target) -> tuple[Tensor, Tensor]:
+    if points.shape != mesh.points.shape:
+        raise InvalidMeshError(f"points must be {tuple(mesh.points.shape)} as in the batch, not {tuple(points.shape)}")
+    return invariants(corners(points, mesh.triangles), target)
+
+
+@torch.no_grad()
+def _mean_side(points: Tensor, mesh: MeshBatch) -> Tensor:
+    """(T,) side of the equilateral triangle that has the mean absolute area of the mesh in `mesh`."""
+    area = signed_area(corners(mesh.points.to(torch.float64), mesh.triangles)).abs()
+    offsets = mesh.triangle_offsets
+    mean = segment_sum(area, offsets) / counts_from_offsets(offsets)
+    side = torch.where(mean > 0, (mean * (4 / SQRT3)).sqrt(), 1.0)
+    return spread(side, offsets).to(points)
+
+
+@torch.no_grad()
+def _reference(points: Tensor, mesh: MeshBatch) -> Target:
+    """Each triangle of `mesh` as the target of itself."""
+    fallen = ~upright(mesh)
+    if bool(fallen.any()):
+        row = int(fallen.nonzero()[0, 0])
+        raise InvalidMeshError(
+            f"mesh {int(triangle_mesh(mesh)[row])}: triangles row {row} is inverted, so it is no reference; "
+            "give the undeformed mesh, or reference=False"
+        )
+    target = target_of(corners(mesh.points.to(torch.float64), mesh.triangles))
+    return Target(*(torch.as_tensor(v).to(points) for v in target))
+
+
+def _reduced(values: Tensor, mesh: MeshBatch, per: Per) -> Tensor:
+    if per == "triangle":
+        return values
+    if per != "mesh":
+        raise ValueError(f"per must be 'mesh' or 'triangle', not {per!r}")
+    sums = values.new_zeros(len(mesh)).index_add(0, triangle_mesh(mesh), values)
+    return sums / counts_from_offsets(mesh.triangle_offsets)

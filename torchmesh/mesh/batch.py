@@ -1,0 +1,240 @@
+"""The one mesh type: a batch of planar triangle meshes as a disjoint union of rows.
+
+A mesh is two arrays, points and triangles; a batch is many of them laid end to end, with offsets
+that say which rows belong to whom.  A single mesh is a batch of one.
+"""
+
+import dataclasses
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..errors import InvalidMeshError, MeshWarning
+from . import connectivity
+from .ragged import counts_from_offsets, offsets_from_counts, rows_of, segment_ids, spread
+from .validation import checked_constraints, checked_fixed, checked_points, checked_triangles, oriented, to_plane
+
+
+@dataclass(frozen=True, eq=False)
+class MeshBatch:
+    """B planar triangle meshes, each owning a contiguous run of rows.
+
+    points             (V, 2) float64 or float32, any one length unit
+    triangles          (T, 3) int64 rows of points, counter-clockwise unless inverted
+    fixed              (V,) bool, vertices nothing may move
+    constrained_edges  (K, 2) int64, interior edges no flip may remove
+    point_offsets      (B+1,) int64, mesh b owns points[point_offsets[b]:point_offsets[b + 1]]
+    triangle_offsets   (B+1,) int64, likewise for triangles
+    frames             (B, 3, 3) float64, each mesh's plane in space: origin, x axis, y axis
+
+    Make one with `from_arrays`, which checks; the constructor itself does not.
+    """
+
+    points: Tensor
+    triangles: Tensor
+    fixed: Tensor
+    constrained_edges: Tensor
+    point_offsets: Tensor
+    triangle_offsets: Tensor
+    frames: Tensor
+
+    @classmethod
+    def from_arrays(cls, points: Any, triangles: Any, fixed: Any = None, constrained_edges: Any = None) -> "MeshBatch":
+        """One mesh (B = 1) from numpy arrays, torch tensors or nested lists.
+
+        points             (V, 2), or (V, 3) in any one plane of space
+        triangles          (T, 3) integers, rows of points; wholly clockwise or mixed winding is
+                           repaired by walking from neighbour to neighbour, with a `MeshWarning`
+        fixed              (V,) bool; None: the boundary.  Boundary vertices, ends of constrained
+                           edges and unused vertices are fixed in any case
+        constrained_edges  (K, 2) integers, edges of the mesh that must survive every flip
+
+        Raises InvalidMeshError, naming the row, for anything that is not a planar triangle mesh.
+        """
+        xyz = checked_points(points)
+        faces = checked_triangles(triangles, len(xyz)).to(xyz.device)
+        flat, frame = to_plane(xyz, faces)
+        faces, twin = oriented(flat, faces)
+        count = len(flat)
+        used = torch.zeros(count, dtype=torch.bool, device=flat.device)
+        used[faces.reshape(-1)] = True
+        unused = int((~used).sum())
+        if unused:
+            warnings.warn(MeshWarning(f"{unused} vertices belong to no triangle; they are kept"), stacklevel=2)
+        kept = checked_constraints(constrained_edges, faces, twin, count)
+        mask = checked_fixed(fixed, count, flat.device)
+        mask = mask | ~used | connectivity.boundary_vertices(faces, twin, count)
+        mask[kept.reshape(-1)] = True
+        return cls(
+            points=flat,
+            triangles=faces,
+            fixed=mask,
+            constrained_edges=kept,
+            point_offsets=torch.tensor([0, count], device=flat.device),
+            triangle_offsets=torch.tensor([0, len(faces)], device=flat.device),
+            frames=frame[None],
+        )
+
+    def __len__(self) -> int:
+        return len(self.point_offsets) - 1
+
+    def __repr__(self) -> str:
+        return (
+            f"MeshBatch({len(self)} meshes, {len(self.points)} points, {len(self.triangles)} triangles, "
+            f"{self.points.dtype}, {self.points.device})"
+        )
+
+    def with_points(self, points: Tensor) -> "MeshBatch":
+        """The same meshes at other positions (V, 2)."""
+        if points.shape != self.points.shape:
+            raise InvalidMeshError(
+                f"points must be {tuple(self.points.shape)} as in the batch, not {tuple(points.shape)}"
+            )
+        return dataclasses.replace(self, points=points.to(self.points))
+
+    def with_triangles(self, triangles: Tensor) -> "MeshBatch":
+        """The same vertices joined otherwise: (T, 3), each mesh keeping its number of triangles."""
+        if triangles.shape != self.triangles.shape:
+            raise InvalidMeshError(
+                f"triangles must be {tuple(self.triangles.shape)} as in the batch, not {tuple(triangles.shape)}"
+            )
+        return dataclasses.replace(self, triangles=triangles)
+
+    def to(self, *args: Any, **kwargs: Any) -> "MeshBatch":
+        """As `torch.Tensor.to`: a dtype converts the points, a device moves every tensor."""
+        points = self.points.to(*args, **kwargs)
+        moved = {f.name: getattr(self, f.name).to(points.device) for f in dataclasses.fields(self)}
+        return MeshBatch(**(moved | {"points": points}))
+
+    def split(self) -> list["MeshBatch"]:
+        """The B meshes, each a batch of one."""
+        vertex, face = self.point_offsets.tolist(), self.triangle_offsets.tolist()
+        owner = self._constraint_owner()
+        meshes = []
+        for b in range(len(self)):
+            v, t = slice(vertex[b], vertex[b + 1]), slice(face[b], face[b + 1])
+            meshes.append(
+                MeshBatch(
+                    self.points[v],
+                    self.triangles[t] - vertex[b],
+                    self.fixed[v],
+                    self.constrained_edges[owner == b] - vertex[b],
+                    self.point_offsets[b : b + 2] - vertex[b],
+                    self.triangle_offsets[b : b + 2] - face[b],
+                    self.frames[b : b + 1],
+                )
+            )
+        return meshes
+
+    def select(self, keep: Tensor) -> "MeshBatch":
+        """The meshes whose `keep` (B,) bool is true, in their order."""
+        keep = torch.as_tensor(keep, device=self.points.device)
+        if keep.dtype != torch.bool or keep.shape != (len(self),):
+            raise InvalidMeshError(f"keep must be ({len(self)},) bool, not {tuple(keep.shape)} {keep.dtype}")
+        if bool(keep.all()):
+            return self
+        vertex_counts = counts_from_offsets(self.point_offsets)
+        rows, faces = rows_of(keep, self.point_offsets), rows_of(keep, self.triangle_offsets)
+        offsets = offsets_from_counts(vertex_counts[keep])
+        triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep])
+        shift = torch.zeros_like(vertex_counts)
+        shift[keep] = offsets[:-1] - self.point_offsets[:-1][keep]
+        owner = self._constraint_owner()
+        constraints = keep[owner]
+        return MeshBatch(
+            self.points.index_select(0, rows),
+            self.triangles.index_select(0, faces).add_(spread(shift[keep], triangle_offsets)[:, None]),
+            self.fixed.index_select(0, rows),
+            (self.constrained_edges + shift[owner][:, None])[constraints],
+            offsets,
+            triangle_offsets,
+            self.frames[keep],
+        )
+
+    def _constraint_owner(self) -> Tensor:
+        """(K,) the mesh each constrained edge belongs to."""
+        return torch.searchsorted(self.point_offsets, self.constrained_edges[:, 0].contiguous(), right=True) - 1
+
+
+def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
+    """One batch of all the meshes of all the batches given, in order.
+
+    Raises InvalidMeshError when there are none, or when their dtypes or devices differ.
+    """
+    if not meshes:
+        raise InvalidMeshError("join needs at least one mesh")
+    kinds = {(m.points.dtype, m.points.device) for m in meshes}
+    if len(kinds) > 1:
+        raise InvalidMeshError(f"the meshes to join differ in dtype or device: {sorted(map(str, kinds))}; use .to(...)")
+    if len(meshes) == 1:
+        return meshes[0]
+    device = meshes[0].points.device
+    shifts = offsets_from_counts(torch.tensor([len(m.points) for m in meshes], device=device)).tolist()
+    return MeshBatch(
+        torch.cat([m.points for m in meshes]),
+        torch.cat([m.triangles + s for m, s in zip(meshes, shifts, strict=False)]),
+        torch.cat([m.fixed for m in meshes]),
+        torch.cat([m.constrained_edges + s for m, s in zip(meshes, shifts, strict=False)]),
+        offsets_from_counts(torch.cat([counts_from_offsets(m.point_offsets) for m in meshes])),
+        offsets_from_counts(torch.cat([counts_from_offsets(m.triangle_offsets) for m in meshes])),
+        torch.cat([m.frames for m in meshes]),
+    )
+
+
+def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
+    """`batch` with the points and triangles of the meshes `at` (B,) bool replaced by those of `part`.
+
+    The inverse of `part = batch.select(at)` after the part's vertices moved or its edges flipped.
+    """
+    if len(part) == len(batch):
+        return part
+    shift = batch.point_offsets[:-1][at] - part.point_offsets[:-1]
+    triangles = part.triangles + spread(shift, part.triangle_offsets)[:, None]
+    return dataclasses.replace(
+        batch,
+        points=batch.points.index_copy(0, rows_of(at, batch.point_offsets), part.points),
+        triangles=batch.triangles.index_copy(0, rows_of(at, batch.triangle_offsets), triangles),
+    )
+
+
+def select_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
+    """The twins (3T',) of `batch.select(keep)` from those of `batch` (3T,)."""
+    if bool(keep.all()):
+        return twin
+    offsets = 3 * batch.triangle_offsets
+    counts = counts_from_offsets(offsets)
+    shift = offsets[:-1] - offsets_from_counts(counts * keep)[:-1]
+    part = twin.index_select(0, rows_of(keep, offsets))
+    return torch.where(part < 0, -1, part - shift[keep].repeat_interleave(counts[keep]))
+
+
+def put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """`twin` (3T,) of `batch` with those of the meshes `at` (B,) bool replaced by `part`, from `select_twins`."""
+    if len(part) == len(twin):
+        return part
+    offsets = 3 * batch.triangle_offsets
+    counts = counts_from_offsets(offsets)
+    shift = offsets[:-1] - offsets_from_counts(counts * at)[:-1]
+    part = torch.where(part < 0, -1, part + shift[at].repeat_interleave(counts[at]))
+    return twin.index_copy(0, rows_of(at, offsets), part)
+
+
+def lift(mesh: MeshBatch) -> Tensor:
+    """(V, 3) the points in space, back in the plane each mesh was given in."""
+    frame = spread(mesh.frames, mesh.point_offsets).to(mesh.points.dtype)
+    x, y = mesh.points[:, :1], mesh.points[:, 1:]
+    return frame[:, 0] + x * frame[:, 1] + y * frame[:, 2]
+
+
+def vertex_mesh(mesh: MeshBatch) -> Tensor:
+    """(V,) int64 the mesh each vertex belongs to."""
+    return segment_ids(mesh.point_offsets)
+
+
+def triangle_mesh(mesh: MeshBatch) -> Tensor:
+    """(T,) int64 the mesh each triangle belongs to."""
+    return segment_ids(mesh.triangle_offsets)

@@ -1,0 +1,86 @@
+"""Is the frame of a mesh - boundary, constrained edges, holes, fixed vertices - what it was?"""
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from . import connectivity
+from .batch import MeshBatch
+from .ragged import counts_from_offsets, segment_count
+
+if TYPE_CHECKING:
+    from .vertex_map import VertexMap
+
+
+def same_frame(
+    before: MeshBatch,
+    after: MeshBatch,
+    stays: Tensor,
+    vertex_map: "VertexMap | None" = None,
+    old_twin: Tensor | None = None,
+) -> Tensor:
+    """(B,) bool: the same boundary edges and Euler number, every constrained edge there, `stays` (V,) unmoved.
+
+    vertex_map  how the vertices of `after` answer to those of `before`; None: row by row.  A boundary or
+                constrained edge may then have been halved: the chain of its parts counts as the edge
+    old_twin    (3T,) twins of the half-edges of `before`, if the caller has them
+    """
+    same = torch.ones(len(before), dtype=torch.bool, device=before.points.device)
+    if vertex_map is None:
+        rows = torch.arange(len(before.points), device=same.device)
+        new_row, old_row = rows, rows
+    else:
+        new_row, old_row = vertex_map.old_to_new, vertex_map.new_to_old
+
+    def fail(vertices: Tensor) -> None:
+        same[torch.bucketize(vertices, before.point_offsets[1:], right=True)] = False
+
+    gone = stays & (new_row < 0)
+    fail((gone | (stays & (before.points != after.points[new_row]).any(1))).nonzero().squeeze(1))
+    if before.triangles is after.triangles:
+        return same
+    count = len(before.points)
+    old_twin = connectivity.twins(before.triangles) if old_twin is None else old_twin
+    twin = connectivity.twins(after.triangles)
+    old = connectivity.boundary_edges(before.triangles, old_twin)
+    new = _whole(connectivity.boundary_edges(after.triangles, twin), old_row)
+    keys = [rim[:, 0] * count + rim[:, 1] for rim in (old, new)]
+    fail(old[~torch.isin(*keys), 0])
+    fail(new[~torch.isin(*keys[::-1]), 0].clamp_min(0))
+    same &= _euler_numbers(before, old_twin) == _euler_numbers(after, twin)
+    wanted = before.constrained_edges
+    if len(wanted):
+        present, size = connectivity.edges(after.triangles, twin), len(after.points)
+        # Of a remeshed batch, only its own constrained edges can be parts of the old ones.
+        kept = present if vertex_map is None else after.constrained_edges
+        kept = kept[torch.isin(_keys(kept, size), _keys(present, size))]
+        chains = torch.cat([_whole(kept, old_row), _whole(kept.flip(1), old_row)])
+        fail(wanted[~torch.isin(_keys(wanted, count), _keys(chains, count)), 0])
+    return same
+
+
+def _keys(edges: Tensor, count: int) -> Tensor:
+    return connectivity.edge_keys(edges[:, 0], edges[:, 1], count)
+
+
+def _whole(edges: Tensor, old_row: Tensor) -> Tensor:
+    """(N, 2) old rows: each of the `edges` (K, 2) from an old vertex, followed through new ones to the next old."""
+    # An inserted vertex halves an edge, so it has two neighbours along it: their sum less the one is the other.
+    around = torch.zeros_like(old_row).index_add_(0, edges[:, 0], edges[:, 1]).index_add_(0, edges[:, 1], edges[:, 0])
+    before, here = edges[old_row[edges[:, 0]] >= 0].unbind(1)
+    start = before
+    for _ in range(len(edges)):
+        inserted = old_row[here] < 0
+        if not bool(inserted.any()):
+            break
+        onward = (around[here] - before).clamp(0, len(old_row) - 1)
+        before, here = torch.where(inserted, here, before), torch.where(inserted, onward, here)
+    return torch.stack([old_row[start], old_row[here]], 1)
+
+
+def _euler_numbers(batch: MeshBatch, twin: Tensor) -> Tensor:
+    """(B,) V - E + F of each mesh, over the vertices that have a triangle: 2 E is 3 F and the boundary's edges."""
+    used = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) > 0
+    rim = segment_count(twin < 0, 3 * batch.triangle_offsets)
+    return segment_count(used, batch.point_offsets) - (counts_from_offsets(batch.triangle_offsets) + rim) // 2

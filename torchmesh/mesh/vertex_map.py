@@ -1,0 +1,152 @@
+"""Where the vertices of a remeshed batch come from: maps from old rows to new ones and back."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..errors import InvalidMeshError
+from .batch import MeshBatch
+from .ragged import counts_from_offsets, offsets_from_counts, segment_ids, spread
+
+
+@dataclass(frozen=True, eq=False)
+class VertexMap:
+    """How the vertices of a mesh answer to those of the mesh it was made of.
+
+    old_to_new  (V_old,) int64, the new row of each old vertex, -1 where it was removed
+    new_to_old  (V_new,) int64, the old row of each new vertex, -1 where it was inserted
+    rows, sources, weights  (N,) each: a field at new vertex rows[i] is the sum of weights[i] times the
+                field at old vertex sources[i]; ascending in rows.  A kept vertex has itself, an inserted
+                one the ends of the edge it halved (or theirs, where those were inserted too), with
+                weights that sum to 1
+    """
+
+    old_to_new: Tensor
+    new_to_old: Tensor
+    rows: Tensor
+    sources: Tensor
+    weights: Tensor
+
+    def __repr__(self) -> str:
+        kept, inserted = int((self.old_to_new >= 0).sum()), int((self.new_to_old < 0).sum())
+        return f"VertexMap({kept} vertices kept, {len(self.old_to_new) - kept} removed, {inserted} inserted)"
+
+    def split(self, before: MeshBatch, after: MeshBatch) -> list["VertexMap"]:
+        """The map of each mesh of the batch `before` that became the batch `after`."""
+        maps = []
+        old, new = before.point_offsets.tolist(), after.point_offsets.tolist()
+        entries = torch.searchsorted(self.rows, after.point_offsets).tolist()
+        for b in range(len(before)):
+            onward, back = self.old_to_new[old[b] : old[b + 1]], self.new_to_old[new[b] : new[b + 1]]
+            here = slice(entries[b], entries[b + 1])
+            maps.append(
+                VertexMap(
+                    torch.where(onward >= 0, onward - new[b], -1), torch.where(back >= 0, back - old[b], -1),
+                    self.rows[here] - new[b], self.sources[here] - old[b], self.weights[here],
+                )
+            )  # fmt: skip
+        return maps
+
+    def carry(self, field: Tensor) -> Tensor:
+        """(V_old, ...) values at the old vertices to (V_new, ...): floating ones interpolated, others copied.
+
+        Copied from the source of most weight, the first of equals.  A vertex that was moved takes its
+        value along.  Raises InvalidMeshError for another number of rows.
+        """
+        if len(field) != len(self.old_to_new):
+            raise InvalidMeshError(f"a field over {len(self.old_to_new)} old vertices was asked for, not {len(field)}")
+        count = len(self.new_to_old)
+        if field.is_floating_point() or field.is_complex():
+            shape = (-1,) + (1,) * (field.ndim - 1)
+            parts = field[self.sources] * self.weights.to(field.dtype).reshape(shape)
+            return field.new_zeros((count, *field.shape[1:])).index_add_(0, self.rows, parts)
+        most = self.weights.new_zeros(count).scatter_reduce_(0, self.rows, self.weights, "amax")
+        row = torch.arange(len(self.rows), device=self.rows.device)
+        first = torch.full_like(self.new_to_old, len(row))
+        candidates = self.weights == most[self.rows]
+        first.scatter_reduce_(0, self.rows[candidates], row[candidates], "amin")
+        return field[self.sources[first]]
+
+
+class Names:
+    """The names of a batch's vertices while they come and go: the first ones are called by their row.
+
+    of      (V,) int64, the name of each vertex there is
+    fresh   the next name to give
+    births  (N, 3) each: the name of a new vertex, and of the two ends of the edge it halved
+    """
+
+    def __init__(self, vertices: int, device: torch.device) -> None:
+        self.of = torch.arange(vertices, device=device)
+        self.first = self.fresh = vertices
+        self.births: list[Tensor] = []
+
+    def vertex_map(self) -> VertexMap:
+        """The map from the vertices at the beginning to those of now."""
+        kept = self.of < self.first
+        old_to_new = torch.full((self.first,), -1, device=self.of.device)
+        rows = torch.arange(len(self.of), device=self.of.device)
+        old_to_new[self.of[kept]] = rows[kept]
+        parents = torch.full((self.fresh - self.first, 2), -1, device=self.of.device)
+        for birth in self.births:
+            parents[birth[:, 0] - self.first] = birth[:, 1:]
+        sources, weights = self.of.clone(), torch.ones(len(rows), dtype=torch.float64, device=self.of.device)
+        while True:
+            young = sources >= self.first
+            if not bool(young.any()):
+                break
+            ends = parents[sources[young] - self.first]
+            rows = torch.cat([rows[~young], rows[young], rows[young]])
+            weights = torch.cat([weights[~young], 0.5 * weights[young], 0.5 * weights[young]])
+            sources = torch.cat([sources[~young], ends[:, 0], ends[:, 1]])
+            # One entry for each pair, in order; halves add up exactly, so their order does not matter.
+            pairs, place = torch.unique(rows * self.fresh + sources, return_inverse=True)
+            weights = weights.new_zeros(len(pairs)).index_add_(0, place, weights)
+            rows, sources = pairs // self.fresh, pairs % self.fresh
+        return VertexMap(old_to_new, torch.where(kept, self.of, -1), rows, sources, weights)
+
+
+def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[Tensor, Tensor]]) -> tuple:
+    """`batch` with the meshes `at` (B,) bool replaced by those of `part`, of whatever size, and fields likewise.
+
+    fields  pairs of (V, ...) over `batch` and over `part`
+
+    Returns the batch and one (V_new, ...) for each pair.
+    """
+    vertex = _places(batch.point_offsets, at, part.point_offsets)
+    face = _places(batch.triangle_offsets, at, part.triangle_offsets)
+    counts = _counts(batch.point_offsets, at, part.point_offsets)
+    offsets = offsets_from_counts(counts)
+    face_offsets = offsets_from_counts(_counts(batch.triangle_offsets, at, part.triangle_offsets))
+    faces = torch.cat([_local(batch), _local(part)])[face] + spread(offsets[:-1], face_offsets)[:, None]
+    edges, owners = [], []
+    for mesh, rows in ((batch, torch.arange(len(batch), device=at.device)), (part, at.nonzero().squeeze(1))):
+        owner = torch.bucketize(mesh.constrained_edges[:, 0].contiguous(), mesh.point_offsets[1:], right=True)
+        stays = ~at[owner] if mesh is batch else torch.ones_like(owner, dtype=torch.bool)
+        shift = offsets[rows[owner]] - mesh.point_offsets[owner]
+        edges.append((mesh.constrained_edges + shift[:, None])[stays])
+        owners.append(rows[owner][stays])
+    order = torch.cat(owners).argsort(stable=True)
+    fixed = torch.cat([batch.fixed, part.fixed])[vertex]
+    points = torch.cat([batch.points, part.points])[vertex]
+    whole = MeshBatch(points, faces, fixed, torch.cat(edges)[order], offsets, face_offsets, batch.frames)
+    return whole, *(torch.cat(pair)[vertex] for pair in fields)
+
+
+def _counts(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    counts = counts_from_offsets(offsets).clone()
+    counts[at] = counts_from_offsets(part)
+    return counts
+
+
+def _places(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """(N,) for the rows of the new batch, their place in the rows of the old one followed by those of `part`."""
+    start = offsets[:-1].clone()
+    start[at] = offsets[-1] + part[:-1]
+    new = offsets_from_counts(_counts(offsets, at, part))
+    return torch.arange(int(new[-1]), device=at.device) + spread(start - new[:-1], new)
+
+
+def _local(batch: MeshBatch) -> Tensor:
+    return batch.triangles - batch.point_offsets[segment_ids(batch.triangle_offsets)][:, None]

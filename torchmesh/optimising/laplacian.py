@@ -1,0 +1,134 @@
+"""The P1 stiffness matrix of the Laplacian, and harmonic extension with it."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..mesh.triangle import Corners, signed_area
+
+
+def cotangent_weights(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
+    """(T,) half cotangents of the angles at a, b, c: minus the stiffness of the edges bc, ca, ab.
+
+    For the linear element K_ij = integral of grad phi_i . grad phi_j (any finite element text;
+    Shontz & Vavasis, BIT 50, 2010).
+    """
+    ux, uy, vx, vy = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
+    wx, wy = t.cx - t.bx, t.cy - t.by
+    quarter = 1.0 / (4.0 * signed_area(t))
+    return (
+        (ux * vx + uy * vy) * quarter,
+        -(ux * wx + uy * wy) * quarter,
+        (vx * wx + vy * wy) * quarter,
+    )
+
+
+def harmonic_extension(
+    triangles: Tensor,
+    weights: tuple[Tensor, Tensor, Tensor],
+    known: Tensor,
+    values: Tensor,
+    point_offsets: Tensor,
+    source: Tensor | None = None,
+) -> Tensor:
+    """Solve K_II x_I = f_I - K_IB x_B for the unknown rows; the known ones keep their values.
+
+    triangles      (T, 3) int64
+    weights        three (T,): the weight of the edges opposite the corners a, b, c
+    known          (V,) bool
+    values         (V, k) the known rows count
+    point_offsets  (B+1,) the rows of each mesh, which is solved for itself
+    source         (V, k) the right-hand side f; None: zero
+
+    A sparse direct factorisation of each mesh (scipy: SuperLU, minimum-degree ordering).  One of
+    the whole batch would order its columns by all of it, and so round each mesh differently.
+    Raises RuntimeError where a mesh's matrix is singular.
+    """
+    from scipy.sparse import coo_matrix, csc_matrix, diags
+    from scipy.sparse.linalg import splu
+
+    a, b, c = triangles.unbind(1)
+    i, j = torch.cat([b, c, a]), torch.cat([c, a, b])
+    row, column, weight = (v.cpu().numpy() for v in (i, j, torch.cat(weights).to(torch.float64)))
+    count = len(known)
+    coupling = coo_matrix((weight, (row, column)), shape=(count, count)).tocsr()
+    coupling = coupling + coupling.T
+    given = values.to(torch.float64).cpu().numpy()
+    unknown, fixed = (np.flatnonzero(mask.cpu().numpy()) for mask in (~known, known))
+    rows = coupling[unknown]
+    inner = (diags(np.asarray(rows.sum(1)).ravel()) - rows[:, unknown]).tocsc()
+    right = rows[:, fixed] @ given[fixed]
+    if source is not None:
+        right = right + source.to(torch.float64).cpu().numpy()[unknown]
+    solution = given.copy()
+    # Slicing a sparse matrix costs its width, mesh by mesh: the blocks are cut out of its arrays instead.
+    for first, last in itertools.pairwise(np.searchsorted(unknown, point_offsets.cpu().numpy()).tolist()):
+        if first == last:
+            continue
+        start, end = inner.indptr[first], inner.indptr[last]
+        block = inner.data[start:end], inner.indices[start:end] - first, inner.indptr[first : last + 1] - start
+        factors = splu(
+            csc_matrix(block, shape=(last - first, last - first)),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        solution[unknown[first:last]] = factors.solve(right[first:last])
+    return torch.where(known[:, None], values, torch.from_numpy(solution).to(values))
+
+
+@dataclass(frozen=True, eq=False)
+class InnerStiffness:
+    """The block K_II of the unknown vertices, (I, I), known by its products, and K_IB of their known neighbours.
+
+    size  I; unknown vertices are numbered in their order
+    total   (I,) the diagonal
+    inner   rows (N,), columns (N,) and weights (N,) of what lies beside it: minus its entries
+    outer   rows (M,), vertices (M,) and weights (M,): minus the entries of K_IB
+    """
+
+    size: int
+    total: Tensor
+    inner: tuple[Tensor, Tensor, Tensor]
+    outer: tuple[Tensor, Tensor, Tensor]
+
+    @classmethod
+    def of(
+        cls, triangles: Tensor, twin: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor
+    ) -> "InnerStiffness":
+        """Weights as in `harmonic_extension`; every vertex of an edge whose twin (3T,) is -1 must be known."""
+        at_a, at_b, at_c = weights
+        weight = torch.stack([at_c, at_a, at_b], 1).reshape(-1)
+        weight = weight + torch.where(twin >= 0, weight[twin], 0.0)
+        row = (~known).cumsum(0) - 1
+        # Round an unknown vertex the triangles close: each neighbour is the head of one half-edge from it.
+        tail, head = triangles.reshape(-1), triangles.roll(-1, 1).reshape(-1)
+        out = (~known)[tail].nonzero().squeeze(1)
+        tail, head, weight = row[tail[out]], head[out], weight[out]
+        size = int((~known).sum())
+        total = weight.new_zeros(size).index_add_(0, tail, weight)
+        outer = known[head]
+        inner = ~outer
+        return cls(
+            size,
+            total,
+            (tail[inner], row[head[inner]], weight[inner]),
+            (tail[outer], head[outer], weight[outer]),
+        )
+
+    def __matmul__(self, u: Tensor) -> Tensor:
+        """(I,) the product with u (I,)."""
+        row, column, weight = self.inner
+        return (self.total * u).index_add_(0, row, weight * u.index_select(0, column), alpha=-1)
+
+    def diagonal(self) -> Tensor:
+        """(I,) the diagonal."""
+        return self.total
+
+    def load(self, values: Tensor) -> Tensor:
+        """(I,) -K_IB x_B, of the known rows of values (V,)."""
+        row, vertex, weight = self.outer
+        return torch.zeros_like(self.total).index_add_(0, row, weight * values.index_select(0, vertex))

@@ -1,0 +1,217 @@
+"""Edge collapses in conflict-free rounds: a free vertex goes, its neighbour takes its triangles over.
+
+           s                       s
+         / | \\                   / | \\
+       /   |   \\               /   |   \\
+     .--- u --h-> w  collapse .----- w        u must be free; w stays where it is
+       \\   |   /              \\   |   /
+         \\ | /                  \\ | /
+           r                       r
+
+No two vertices that go in a round are neighbours, so no two collapses share a triangle.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from .mutable import Editable, all_upright, fan_quality, independent, length, within_budget
+
+# Goes at choosing what to collapse in a round: each leaves about a third of what could still join.
+_GOES = 3
+
+
+class Outcome(NamedTuple):
+    """What N collapses would do.
+
+    before   (N,) worst inverse mean ratio of the triangles they touch
+    after    (N,) that afterwards, by floating point; infinite where a triangle inverts or the link condition fails
+    longest  (N,) the longest new edge, relative to the size wanted
+    a, b     (N, K) the triangles p a b round the vertex p that goes
+    kept     (N, K) bool, the triangle stays
+    claims   (N, K + 1) the vertex that goes and its neighbours, -1 as padding
+    """
+
+    before: Tensor
+    after: Tensor
+    longest: Tensor
+    a: Tensor
+    b: Tensor
+    kept: Tensor
+    claims: Tensor
+
+    def select(self, rows: Tensor) -> "Outcome":
+        return Outcome(*(v[rows] for v in self))
+
+
+def proposals(e: Editable, edge: Tensor) -> tuple[Tensor, Tensor]:
+    """All collapses of the `edge`s (M,), each free end onto the other: half-edges (N,), whose tails would go.
+
+    And the row of `edge` that each is of.
+    """
+    owner = (e.twin[edge] >= 0).nonzero().squeeze(1)
+    here, there = edge[owner], e.twin[edge[owner]]
+    loose, also = ~e.fixed[e.vertex[here]], ~e.fixed[e.vertex[there]]
+    return torch.cat([here[loose], there[also]]), torch.cat([owner[loose], owner[also]])
+
+
+def evaluate(e: Editable, h: Tensor) -> Outcome:
+    """What the collapse of each half-edge h (N,) would do."""
+    u, w = e.vertex[h], e.head(h)
+    out, beside = e.around(torch.cat([u, w])).chunk(2)
+    there = out >= 0
+    a, b = e.head(out), e.vertex[previous_in_triangle(out)]
+    kept = there & (a != w[:, None]) & (b != w[:, None])
+    rim = ((e.twin < 0) & (e.vertex >= 0)).nonzero().squeeze(1)
+    fans, last = torch.bincount(e.vertex[rim], minlength=len(e.x)), torch.full_like(e.mesh, -1)
+    # On the boundary one neighbour is the head of no half-edge.
+    last[e.head(rim)] = e.vertex[rim]
+    neighbours = torch.cat([torch.where(beside >= 0, e.head(beside), -1), last[w][:, None]], 1)
+    common = ((a[:, :, None] == neighbours[:, None]) & there[:, :, None]).sum((1, 2))
+    # A boundary vertex where several fans meet stays as it is.
+    legal = (fans[u] == 0) & (fans[w] < 2) & (there.sum(1) > 2) & (common == 2)
+    ux, uy, wx, wy = (v[:, None] for v in (e.x[u], e.y[u], e.x[w], e.y[w]))
+    ax, ay, bx, by = e.x[a], e.y[a], e.x[b], e.y[b]
+    now = then = halfway = None
+    if e.metric is not None:
+        at_u, at_w, at_a = e.metric[u][:, None], e.metric[w][:, None], e.metric[a]
+        now, then, halfway = at_u + at_a + e.metric[b], at_w + at_a + e.metric[b], 0.5 * (at_w + at_a)
+    before, after = fan_quality(ux, uy, ax, ay, bx, by, now), fan_quality(wx, wy, ax, ay, bx, by, then)
+    relative = 2 * length(ax - wx, ay - wy, halfway) / (e.size[w][:, None] + e.size[a])
+    return Outcome(
+        torch.where(there, before, 0.0).amax(1),
+        torch.where(legal, torch.where(kept, after, 0.0).amax(1), torch.inf),
+        torch.where(there, relative, 0.0).amax(1),
+        a,
+        b,
+        kept,
+        torch.cat([u[:, None], torch.where(there, a, -1)], 1),
+    )
+
+
+def still_upright(e: Editable, h: Tensor, outcome: Outcome) -> Tensor:
+    """(N,) bool by exact signs: are all the triangles that the collapses of h (N,) leave upright?"""
+    w = e.head(h)
+    return all_upright(e, e.x[w], e.y[w], outcome.a, outcome.b, outcome.kept)
+
+
+def collapse(e: Editable, h: Tensor) -> None:
+    """Collapse the half-edges h (N,), no two of which share a triangle: their tails go."""
+    g = e.twin[h]
+    u, w = e.vertex[h], e.vertex[g]
+    h1, h2, g1, g2 = next_in_triangle(h), previous_in_triangle(h), next_in_triangle(g), previous_in_triangle(g)
+    new = torch.arange(len(e.x), device=h.device)
+    new[u] = w
+    e.vertex = torch.where(e.vertex >= 0, new[e.vertex], -1)
+    # The outer half-edges of the dead triangles live on as the twins of their inner ones; two dead
+    # triangles may be neighbours.
+    gone, partner = torch.cat([h1, g2]), torch.cat([e.twin[h2], e.twin[g1]])
+    stands_for = torch.arange(len(e.twin), device=h.device)
+    stands_for[gone] = partner
+    across = e.twin[gone]
+    e.locked[partner] = e.locked[gone]
+    e.twin[partner] = torch.where(across >= 0, stands_for[across.clamp_min(0)], -1)
+    inner = across >= 0
+    e.twin[e.twin[partner[inner]]] = partner[inner]
+    dead = torch.cat([h, h1, h2, g, g1, g2])
+    e.vertex[dead] = e.twin[dead] = -1
+    e.locked[dead] = False
+    e.alive[u] = False
+
+
+# How much an edge (half-edges (M,)) wants to go: (M,) numbers, infinite if not at all, lowest first.
+Wish = Callable[[Tensor], Tensor]
+
+
+# Of outcomes, which to accept, (N,) bool.
+Judge = Callable[[Outcome], Tensor]
+
+
+def collapse_rounds(
+    e: Editable,
+    wish: Wish,
+    judge: Judge,
+    *,
+    budget: Tensor | None = None,
+    worth: float = 0.0,
+    max_rounds: int = 1000,
+) -> Tensor:
+    """Collapse what is wished for and judged good until nothing is left; the number in each mesh (B,).
+
+    A round asks, at every vertex, about the edge that wants most to go.
+
+    budget  (B,) int64, how many collapses each mesh may have; None: any number
+    worth   a mesh is done after a round that did less than this part of all its collapses
+    """
+    total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
+    going = torch.ones_like(total, dtype=torch.bool) if budget is None else budget > 0
+    # Half-edges (the lower of each edge) that were refused, and round which nothing has changed since.
+    asleep = torch.zeros(len(e.twin), dtype=torch.bool, device=e.x.device)
+    every = torch.arange(len(e.twin), device=e.x.device)
+    for _ in range(max_rounds):
+        edge = e.edges()
+        edge = edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]]
+        want = wish(edge)
+        asked = want.isfinite().nonzero().squeeze(1)
+        edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
+        first = _first_at_an_end(e, edge, key)
+        edge, key = edge[first], key[first]
+        if not len(edge):
+            break
+        h, owner = proposals(e, edge)
+        outcome = evaluate(e, h)
+        asleep[edge] = True
+        rows = (judge(outcome) & outcome.after.isfinite()).nonzero().squeeze(1)
+        rows = rows[_best_of_each(owner[rows], outcome.after[rows], len(edge))]
+        asleep[edge[owner[rows]]] = False
+        rows = rows[_apart(e.vertex[h[rows]], outcome.claims[rows], key[owner[rows]], len(e.x))]
+        upright = still_upright(e, h[rows], outcome.select(rows))
+        asleep[edge[owner[rows[~upright]]]] = True
+        rows = rows[upright]
+        if budget is not None:
+            rows = rows[within_budget(e.mesh[e.vertex[h[rows]]], key[owner[rows]], budget - total)]
+        touched = torch.zeros_like(e.alive)
+        claims = outcome.claims[rows]
+        touched[claims[claims >= 0]] = True
+        done = e.per_mesh(h[rows])
+        collapse(e, h[rows])
+        asleep &= ~touched[e.vertex.clamp_min(0)] & ~touched[e.head(every).clamp_min(0)]
+        total += done
+        going = going & (done >= worth * total)
+        if budget is not None:
+            going &= total < budget
+    return total
+
+
+def _apart(tail: Tensor, claims: Tensor, key: Tensor, count: int) -> Tensor:
+    """(M,) rows of collapses of which none takes a vertex (N,) that another claims (N, K), those of low key first."""
+    rows, chosen = torch.arange(len(tail), device=tail.device), []
+    # The last place answers for -1.
+    taken = torch.zeros(count + 1, dtype=torch.bool, device=tail.device)
+    for _ in range(_GOES):
+        first = independent(tail[rows][:, None], claims[rows], key[rows], count)
+        chosen.append(rows[first])
+        taken[claims[rows[first]]] = True
+        rows = rows[~taken[tail[rows]]]
+    return torch.cat(chosen)
+
+
+def _first_at_an_end(e: Editable, edge: Tensor, key: Tensor) -> Tensor:
+    """(M,) bool: the edges whose key is the lowest at one of their ends."""
+    u, w = e.vertex[edge], e.head(edge)
+    best = torch.full((len(e.x),), torch.iinfo(torch.int64).max, dtype=torch.int64, device=edge.device)
+    best.scatter_reduce_(0, torch.cat([u, w]), key.repeat(2), "amin")
+    return (best[u] == key) | (best[w] == key)
+
+
+def _best_of_each(owner: Tensor, value: Tensor, count: int) -> Tensor:
+    """(N,) bool: of the rows of each owner, the one of lowest value, the first of equals."""
+    best = value.new_full((count,), torch.inf).scatter_reduce_(0, owner, value, "amin")
+    level = (value == best[owner]).nonzero().squeeze(1)
+    first = torch.full((count,), len(owner), dtype=torch.int64, device=owner.device)
+    first.scatter_reduce_(0, owner[level], level, "amin")
+    rows = torch.arange(len(owner), device=owner.device)
+    return first[owner] == rows

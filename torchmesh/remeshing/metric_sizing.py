@@ -1,0 +1,82 @@
+"""Lengths and sizes as a metric sees them, for remeshing towards triangles that are not equilateral in the plane.
+
+A metric of determinant 1 at every place (`MetricField.at_vertices`) says how triangles are stretched, a size
+field how long edges are when the metric measures them: sqrt(e^T M e), M the mean of the two ends'.  An edge is
+good if that length is the size wanted (Loseille & Alauzet, Continuous mesh framework, SIAM Journal on
+Numerical Analysis 49, 2011; here size and stretching are kept apart).  Areas are those of the plane.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..mesh import connectivity
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import Quality, quality
+from ..mesh.metrics import percentiles
+from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_max, segment_sum
+from ..optimising.laplacian import harmonic_extension
+from ..optimising.targets import MetricField, target_quality
+from .sizing import SizeConformity, Sizes, size_field
+
+
+def metric_lengths(batch: MeshBatch, edges: Tensor, metric: Tensor) -> Tensor:
+    """(E,) float64 lengths of the edges (E, 2); metric (V, 3) entries m11, m12, m22 of determinant 1."""
+    points = batch.points.to(torch.float64)
+    step = points[edges[:, 0]] - points[edges[:, 1]]
+    size = step.abs().amax(1)
+    x, y = (step / torch.where(size > 0, size, 1.0)[:, None]).unbind(1)
+    m11, m12, m22 = (0.5 * (metric[edges[:, 0]] + metric[edges[:, 1]])).unbind(1)
+    return size * (m11 * x * x + 2 * m12 * x * y + m22 * y * y).sqrt()
+
+
+def metric_size_field(batch: MeshBatch, sizes: Sizes, metric: Tensor, triangles: Tensor) -> Tensor:
+    """(V,) as `size_field`, of lengths in the metric (V, 3).
+
+    Names mean what they mean there, but that "boundary" continues the lengths inwards as they are: the triangles are
+    as many as fit.
+    """
+    if not isinstance(sizes, str) or sizes == "uniform":
+        return size_field(batch, sizes, triangles=triangles)
+    twin = connectivity.twins(batch.triangles)
+    if sizes == "keep":
+        edges = connectivity.edges(batch.triangles, twin)
+        return _mean_at_vertices(edges, metric_lengths(batch, edges, metric), batch)[0]
+    rim = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
+    length, known = _mean_at_vertices(rim, metric_lengths(batch, rim, metric), batch)
+    known = known | (connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0)
+    # By the graph alone, whose weights are positive however thin the triangles: no size leaves those of the boundary.
+    even = (length.new_ones(len(batch.triangles)),) * 3
+    return harmonic_extension(batch.triangles, even, known, length[:, None], batch.point_offsets)[:, 0]
+
+
+def metric_quality(batch: MeshBatch, metric: Tensor) -> Quality:
+    """The quality of the batch with inverse mean ratios as the metric (V, 3) sees them."""
+    ratio, offsets = target_quality(batch, MetricField(metric)), batch.triangle_offsets
+    mean = segment_sum(ratio, offsets) / counts_from_offsets(offsets)
+    return replace(quality(batch), inverse_mean_ratio=ratio, mean=mean, max=segment_max(ratio, offsets))
+
+
+def metric_conformity(batch: MeshBatch, size: Tensor, metric: Tensor) -> SizeConformity:
+    """How well the edges of each mesh follow the sizes (V,), when the metric (V, 3) measures them."""
+    edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
+    owner = torch.bucketize(edges[:, 0].contiguous(), batch.point_offsets[1:], right=True)
+    order = owner.argsort(stable=True)
+    edges, offsets = edges[order], offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
+    ratio = 2 * metric_lengths(batch, edges, metric) / (size[edges[:, 0]] + size[edges[:, 1]])
+    low, high = percentiles(ratio, offsets, (5, 95)).unbind(1)
+    return SizeConformity(segment_sum(ratio, offsets) / counts_from_offsets(offsets), low, high)
+
+
+def unit_metric(metric: Tensor) -> Tensor:
+    """(V, 3) scaled to determinant 1."""
+    return metric / (metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]).sqrt()[:, None]
+
+
+def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
+    """(V,) the mean length of the edges at each vertex, 1 where there are none; (V,) bool: are there any."""
+    number = torch.bincount(edges.reshape(-1), minlength=len(batch.points))
+    total = length.new_zeros(len(batch.points))
+    total.index_add_(0, edges[:, 0], length).index_add_(0, edges[:, 1], length)
+    return torch.where(number > 0, total / number.clamp_min(1), 1.0), number > 0

@@ -1,0 +1,180 @@
+"""Edge splits in conflict-free rounds: a new vertex in the middle of an edge, four triangles for two.
+
+           s                       s
+         / | \\                   / | \\
+       /   |   \\    split      /   |   \\
+      u ---h--- w            u --- m --- w      on the boundary (where that is allowed) two for one
+       \\   |   /              \\   |   /
+         \\ | /                  \\ | /
+           r                       r
+"""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from ..mesh.predicates import orientation
+from .mutable import Editable, fan_quality, independent, within_budget
+
+# Which edges to split: of the half-edges given (M,), (M,) bool, and their rank (M,), lowest first.
+Wish = Callable[[Tensor], tuple[Tensor, Tensor]]
+
+
+def splittable(e: Editable, h: Tensor, allow_fixed: bool) -> Tensor:
+    """(N,) bool: the edges h may be split (locked ones and the boundary if allowed), and no triangle inverts."""
+    g = e.twin[h]
+    may = (g >= 0) & ~e.locked[h] if not allow_fixed else torch.ones_like(g, dtype=torch.bool)
+    mx, my = e.middle(h)
+    for side in (h, g):
+        there = (side >= 0) & may
+        rows = there.nonzero().squeeze(1)
+        start = side[rows]
+        u, w, s = e.vertex[start], e.head(start), e.vertex[previous_in_triangle(start)]
+        sx, sy = e.x[s], e.y[s]
+        first = orientation(e.x[u], e.y[u], mx[rows], my[rows], sx, sy)
+        second = orientation(mx[rows], my[rows], e.x[w], e.y[w], sx, sy)
+        may[rows[(first <= 0) | (second <= 0)]] = False
+    return may
+
+
+def worst_after(e: Editable, h: Tensor) -> tuple[Tensor, Tensor]:
+    """(N,) worst inverse mean ratio of the triangles at the edges h now, and after their split."""
+    before, after = torch.zeros_like(e.x[:1]).expand(len(h)), torch.zeros_like(e.x[:1]).expand(len(h))
+    mx, my = e.middle(h)
+    whole = first = second = None
+    for side in (h, e.twin[h]):
+        start = torch.where(side >= 0, side, h)
+        u, w, s = e.vertex[start], e.head(start), e.vertex[previous_in_triangle(start)]
+        sx, sy, ux, uy, wx, wy = e.x[s], e.y[s], e.x[u], e.y[u], e.x[w], e.y[w]
+        if e.metric is not None:
+            at_u, at_w, at_s = e.metric[u], e.metric[w], e.metric[s]
+            middle = 0.5 * (at_u + at_w)
+            whole, first, second = at_u + at_w + at_s, at_u + middle + at_s, middle + at_w + at_s
+        before = torch.maximum(before, fan_quality(sx, sy, ux, uy, wx, wy, whole))
+        after = torch.maximum(after, fan_quality(sx, sy, ux, uy, mx, my, first))
+        after = torch.maximum(after, fan_quality(sx, sy, mx, my, wx, wy, second))
+    return before, after
+
+
+def split(e: Editable, h: Tensor, new: Tensor, rows: Tensor) -> None:
+    """Split the edges h (N,), no two in one triangle.
+
+    new   (N,) rows of the new vertices, which exist and are dead
+    rows  (2, N) rows of the new triangles, which exist and are dead; the second of a boundary edge is not used
+    """
+    g = e.twin[h]
+    u, w = e.vertex[h], e.head(h)
+    mx, my = e.middle(h)
+    lock = e.locked[h]
+    e.x[new], e.y[new] = mx, my
+    e.size[new] = 0.5 * (e.size[u] + e.size[w])
+    if e.metric is not None:
+        e.metric[new] = 0.5 * (e.metric[u] + e.metric[w])
+    e.mesh[new] = e.mesh[u]
+    e.alive[new] = True
+    e.fixed[new] = lock | (g < 0)
+    inner = (g >= 0).nonzero().squeeze(1)
+    start, slot, middle = torch.cat([h, g[inner]]), torch.cat([rows[0], rows[1, inner]]), torch.cat([new, new[inner]])
+    after, base = next_in_triangle(start), 3 * slot
+    # The edge after `start` goes to the new triangle; its neighbour may do likewise.
+    moved = torch.arange(len(e.twin), device=h.device)
+    moved[after] = base + 1
+    across = e.twin[after]
+    partner = torch.where(across >= 0, moved[across.clamp_min(0)], -1)
+    e.vertex[base], e.vertex[base + 1] = middle, e.vertex[after]
+    e.vertex[base + 2] = e.vertex[previous_in_triangle(start)]
+    e.vertex[after] = middle
+    e.twin[base + 1] = partner
+    e.twin[partner[across >= 0]] = (base + 1)[across >= 0]
+    e.twin[after], e.twin[base + 2] = base + 2, after
+    e.locked[base + 1] = e.locked[after]
+    e.locked[after] = e.locked[base + 2] = False
+    e.twin[h] = e.twin[3 * rows[0]] = -1
+    one, two, h_inner, g_inner = 3 * rows[0, inner], 3 * rows[1, inner], h[inner], g[inner]
+    e.twin[h_inner], e.twin[two] = two, h_inner
+    e.twin[g_inner], e.twin[one] = one, g_inner
+    e.locked[3 * rows[0]] = lock
+    e.locked[two] = e.locked[g_inner] = lock[inner]
+
+
+# Room for the splits of edges (N,): rows of vertices (N,) and of triangles (2, N).
+Room = Callable[[Editable, Tensor], tuple[Tensor, Tensor]]
+
+
+def split_rounds(
+    e: Editable,
+    wish: Wish,
+    *,
+    allow_fixed: bool = False,
+    budget: Tensor | None = None,
+    room: Room | None = None,
+    max_rounds: int = 100,
+) -> Tensor:
+    """Split what is wished for until nothing is left; the number in each mesh (B,).
+
+    allow_fixed  may boundary and locked edges be split?
+    budget       (B,) int64, how many splits each mesh may have; None: any number
+    room         where new vertices and triangles go; None: new rows at the end
+    """
+    room = room or append
+    total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
+    awake = torch.ones_like(e.alive)
+    for _ in range(max_rounds):
+        edge = e.edges()
+        edge = edge[awake[e.vertex[edge]] | awake[e.head(edge)]]
+        if budget is not None:
+            edge = edge[(total < budget)[e.mesh[e.vertex[edge]]]]
+        if not len(edge):
+            break
+        wanted, rank = wish(edge)
+        edge, rank = edge[wanted], rank[wanted]
+        may = splittable(e, edge, allow_fixed)
+        edge, rank = edge[may], rank[may]
+        if not len(edge):
+            break
+        chosen = first_in_their_triangles(e, edge, rank)
+        if budget is not None:
+            rows = chosen.nonzero().squeeze(1)
+            chosen[rows] = within_budget(e.mesh[e.vertex[edge[rows]]], rank[rows], budget - total)
+        awake = torch.zeros_like(awake)
+        awake[e.vertex[edge[~chosen]]] = True
+        edge = edge[chosen]
+        ring = torch.cat([edge, e.twin[edge][e.twin[edge] >= 0]]) // 3
+        total += e.per_mesh(edge)
+        new, slots = room(e, edge)
+        awake = torch.cat([awake, awake.new_zeros(len(e.alive) - len(awake))])
+        awake[new] = True
+        awake[e.triangles[ring].reshape(-1)] = True
+        split(e, edge, new, slots)
+    return total
+
+
+def first_in_their_triangles(e: Editable, h: Tensor, rank: Tensor) -> Tensor:
+    """(N,) bool: the edges that rank first (lowest) in both their triangles."""
+    g = e.twin[h]
+    faces = torch.stack([h // 3, torch.where(g >= 0, g // 3, -1)], 1)
+    return independent(faces, faces, rank, len(e.twin) // 3)
+
+
+def append(e: Editable, h: Tensor) -> tuple[Tensor, Tensor]:
+    """Room at the end for splits of the edges h (N,): rows of vertices (N,) and of triangles (2, N)."""
+    count, device = len(h), h.device
+    new = len(e.x) + torch.arange(count, device=device)
+    names = e.fresh + torch.arange(count, device=device)
+    e.births.append(torch.stack([names, e.origin[e.vertex[h]], e.origin[e.head(h)]], 1))
+    e.fresh += count
+    e.origin = torch.cat([e.origin, names])
+    for name in ("x", "y", "size"):
+        setattr(e, name, torch.cat([getattr(e, name), e.x.new_zeros(count)]))
+    if e.metric is not None:
+        e.metric = torch.cat([e.metric, e.metric.new_zeros((count, 3))])
+    e.mesh = torch.cat([e.mesh, e.mesh.new_zeros(count)])
+    e.alive = torch.cat([e.alive, e.alive.new_zeros(count)])
+    e.fixed = torch.cat([e.fixed, e.fixed.new_zeros(count)])
+    rows = len(e.twin) // 3 + torch.arange(2 * count, device=device).reshape(2, count)
+    e.vertex = torch.cat([e.vertex, e.vertex.new_full((6 * count,), -1)])
+    e.twin = torch.cat([e.twin, e.twin.new_full((6 * count,), -1)])
+    e.locked = torch.cat([e.locked, e.locked.new_zeros(6 * count)])
+    return new, rows

@@ -1,0 +1,150 @@
+"""Step 3: move the free vertices of a valid mesh to minimise the inverse mean ratio."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import torch
+from torch import Tensor
+
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import upright
+from ..mesh.ragged import segment_any, spread
+from ..optimising.energies import InverseMeanRatio, equilateral
+from ..optimising.lbfgs import BLOCK, LbfgsOptions, minimise
+from ..optimising.metric_objective import aim
+from ..optimising.objective import MeshObjective, pack
+from ..optimising.targets import TargetFunction, Targets, as_targets, check
+from ..status import Status
+
+if TYPE_CHECKING:
+    from ..mesh.curves import Rails
+from ..mesh.neighbourhoods import vertex_size
+from ..optimising.moves import Monitor, MoveInfo
+
+
+@dataclass(frozen=True)
+class SmoothOptions:
+    """How `smooth` minimises the sum of q^p, q the inverse mean ratio (Kim 2017, equation 4).
+
+    power             p; 2 in the paper, higher cares more for the worst triangle
+    ceiling           a q that triangles should stay below: (q / ceiling)^8 is added; None: not
+    max_iterations    L-BFGS steps tried at most
+    energy_tolerance  a mesh is done when five steps together lower its energy by less than this part
+    gradient_tolerance  or when the root mean square of its scaled gradient is below this
+    boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
+                      curves they are on, which keep their shape and the areas on both sides
+    targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
+                      one a triangle of the batch (`target_from`); a `MetricField` (`metric_from`,
+                      `MetricField.stretched`); or a function of places (N, 2) to target matrices (N, 2, 2), which
+                      becomes one (`MetricField.from_targets`)
+    corner_angle      degrees; where such a curve turns by more, the vertex is a corner and stays
+    single            compute displacements in single precision, which is faster and good for rough work on
+                      triangles that are not slivers; not with sliding or targets
+    """
+
+    power: int = 2
+    ceiling: float | None = None
+    max_iterations: int = 300
+    energy_tolerance: float = 1e-5
+    gradient_tolerance: float = 1e-6
+    boundary: Literal["fixed", "slide"] = "fixed"
+    corner_angle: float = 40.0
+    targets: Targets | TargetFunction | None = field(default=None, compare=False)
+    single: bool = False
+
+    def __post_init__(self) -> None:
+        if self.power < 1:
+            raise ValueError(f"SmoothOptions.power must be at least 1, not {self.power}")
+        if self.ceiling is not None and not self.ceiling > 1:
+            raise ValueError(f"SmoothOptions.ceiling must be above 1, the ideal, not {self.ceiling}")
+        if self.max_iterations < 0:
+            raise ValueError(f"SmoothOptions.max_iterations must not be negative, but is {self.max_iterations}")
+        if self.boundary not in ("fixed", "slide"):
+            raise ValueError(f"SmoothOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
+        if not 0 <= self.corner_angle <= 180:
+            raise ValueError(f"SmoothOptions.corner_angle must lie between 0 and 180 degrees, not {self.corner_angle}")
+        object.__setattr__(self, "targets", as_targets(self.targets))
+        if self.targets is not None:
+            check(self.targets)
+        for name in ("energy_tolerance", "gradient_tolerance"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"SmoothOptions.{name} must not be negative, but is {getattr(self, name)}")
+
+
+def smooth(
+    batch: MeshBatch,
+    options: SmoothOptions | None = None,
+    *,
+    free: Tensor | None = None,
+    monitor: Monitor | None = None,
+    rails: "Rails | None" = None,
+    block: int = BLOCK,
+) -> tuple[MeshBatch, MoveInfo]:
+    """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
+
+    No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
+    `Status.INVERTED`.
+
+    free     (V,) bool, move only these of the vertices that are not fixed, or that slide
+    monitor  called with the iteration and the energies of the meshes still running
+    rails    curves to slide along, as an earlier call left them (`info.rails`); None: those of
+             the mesh as it is, if the options say "slide"
+    block    coordinates of a mesh are padded to a multiple of this: less is faster for meshes of few free vertices;
+             not with rails
+    """
+    options = options or SmoothOptions()
+    refused = segment_any(~upright(batch), batch.triangle_offsets)
+    if rails is None and options.boundary == "slide":
+        from .sliding import rails_of
+
+        rails = rails_of(batch, options.corner_angle)
+    stays = batch.fixed if rails is None else batch.fixed & ~rails.may_slide(batch.point_offsets)
+    may_move = ~stays & ~spread(refused, batch.point_offsets)
+    if free is not None:
+        may_move &= free
+    single = options.single and rails is None and options.targets is None
+    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
+    objective = MeshObjective(
+        InverseMeanRatio(options.power, options.ceiling),
+        equilateral(),
+        packing.rows,
+        packing.anchored,
+        packing.block_offsets,
+        packing.triangle_offsets,
+        packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
+        edges=packing.edges,
+    )
+    targets = as_targets(options.targets)
+    if targets is not None:
+        objective = aim(objective, batch, packing, targets)
+    slide = None
+    if rails is not None:
+        from .sliding import Slide
+
+        slide = Slide(batch, rails, packing)
+    problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
+    result = minimise(
+        problem,
+        start,
+        LbfgsOptions(
+            max_iterations=options.max_iterations,
+            gradient_tolerance=options.gradient_tolerance,
+            energy_tolerance=options.energy_tolerance,
+            first_step=0.05,
+            largest_step=0.5,
+        ),
+        monitor,
+    )
+    if slide is None:
+        moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
+    else:
+        points, rails = slide.finish(result.unknowns)
+        moved = batch.with_points(points)
+    # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
+    worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
+    status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
+    if bool(worse.any()):
+        back = spread(worse, batch.point_offsets)[:, None]
+        moved = batch.with_points(torch.where(back, batch.points, moved.points))
+        rails = None if slide is None or rails is None else rails.put(worse, slide.rails.select(worse))
+    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, rails)

@@ -1,0 +1,5 @@
+"""Step 2 of Kim 2017 and what goes beyond it: no triangle stays inverted.
+
+Untangle-beta and the regularised functional move vertices; averaging puts scrambled interiors back; cavities are
+re-triangulated exactly.  Imports from `mesh`, `optimising` and `triangulating`.
+"""

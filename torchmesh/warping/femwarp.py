@@ -1,0 +1,56 @@
+"""FEMWARP: carry the interior of a mesh along with its boundary."""
+
+import torch
+from torch import Tensor
+
+from ..errors import InvalidMeshError
+from ..mesh.batch import MeshBatch, triangle_mesh
+from ..mesh.measure import upright
+from ..mesh.triangle import corners
+from ..optimising.laplacian import cotangent_weights, harmonic_extension
+
+
+def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
+    """Move the fixed vertices to `new_points` and let the others follow harmonically.
+
+    new_points  (V, 2) in the batch's unit; the rows of fixed vertices count
+
+    Each interior vertex keeps its place as a weighted mean of its neighbours, with the P1
+    stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
+    Vavasis, Analysis of and workarounds for element reversal, BIT 50, 2010).  A large motion may
+    invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
+    undeformed mesh is inverted, or new positions are not finite or of another shape.
+    """
+    target = boundary_goal(batch, new_points, "femwarp")
+    weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
+    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target, batch.point_offsets))
+
+
+def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
+    """(V, 2) the fixed vertices at `new_points`, the others where they are; InvalidMeshError as `what` says."""
+    target = torch.as_tensor(new_points).to(batch.points)
+    if target.shape != batch.points.shape:
+        raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
+    bad = batch.fixed & ~target.isfinite().all(1)
+    if bool(bad.any()):
+        row = int(bad.nonzero()[0, 0])
+        raise InvalidMeshError(f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite place")
+    fallen = ~upright(batch)
+    if bool(fallen.any()):
+        row = int(fallen.nonzero()[0, 0])
+        raise InvalidMeshError(
+            f"mesh {int(triangle_mesh(batch)[row])}: triangles row {row} is inverted; "
+            f"{what} starts from a valid mesh, so improve it first"
+        )
+    return torch.where(batch.fixed[:, None], target, batch.points)
+
+
+def relax(batch: MeshBatch) -> MeshBatch:
+    """Every free vertex to the mean of its neighbours, whatever its place was.
+
+    With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
+    Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.
+    """
+    one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
+    places = harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points, batch.point_offsets)
+    return batch.with_points(places)
