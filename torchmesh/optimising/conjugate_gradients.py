@@ -1,19 +1,98 @@
-"""Conjugate gradients for many symmetric systems at once."""
+"""Conjugate gradients for many symmetric systems at once, each with its own steps.
+
+Hestenes & Stiefel, Methods of conjugate gradients for solving linear systems, Journal of Research of the
+National Bureau of Standards 49, 1952; with the diagonal as preconditioner as in Saad, Iterative Methods for
+Sparse Linear Systems, 2003, algorithm 9.1.  The result of a system does not depend on what else is solved.
+"""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from ..mesh.ragged import segment_sum, spread
+from ..mesh.ragged import segment_ids, segment_sum
+
+
+class Matrix(Protocol):
+    """A symmetric matrix that is known by its products."""
+
+    def __matmul__(self, u: Tensor) -> Tensor: ...
+
+
+class SymmetricOperator(Matrix, Protocol):
+    """A symmetric matrix of `size` rows that is known by its products and its diagonal, each (size,)."""
+
+    @property
+    def size(self) -> int: ...
+
+    def diagonal(self) -> Tensor: ...
+
+
+class Iterate(NamedTuple):
+    """Where the systems are: vectors (N,) over all unknowns, numbers (B,) one a system.
+
+    x          the solution so far
+    residual   right-hand side minus matrix times x
+    direction  in which the next step goes
+    power      the residual times the preconditioned residual
+    length     of the last step in units of its direction; 0 for systems that stayed where they were
+    """
+
+    x: Tensor
+    residual: Tensor
+    direction: Tensor
+    power: Tensor
+    length: Tensor
+
+
+class Systems:
+    """B symmetric systems side by side in one vector of N unknowns.
+
+    matrix    its products (N,) couple no two systems
+    diagonal  (N,) positive, the preconditioner; infinite for unknowns that stay
+    offsets   (B+1,) the unknowns of each system
+    """
+
+    def __init__(self, matrix: Matrix, diagonal: Tensor, offsets: Tensor) -> None:
+        self.matrix, self.diagonal, self.offsets = matrix, diagonal, offsets
+        self.owner = segment_ids(offsets)
+
+    def start(self, x: Tensor, residual: Tensor) -> Iterate:
+        """Begin at x (N,), where the residual is `residual` (N,)."""
+        direction = residual / self.diagonal
+        power = self._dot(residual, direction)
+        return Iterate(x, residual, direction, power, torch.zeros_like(power))
+
+    def step(self, now: Iterate, running: Tensor | None = None) -> Iterate:
+        """One step of the systems `running` (B,) bool, or of all; without one where the matrix is not positive."""
+        image = self.matrix @ now.direction
+        curvature = self._dot(now.direction, image)
+        moves = curvature > 0 if running is None else running & (curvature > 0)
+        length = torch.where(moves, now.power / curvature, 0.0)
+        along = length.index_select(0, self.owner)
+        # Not `torch.addcmul`, which rounds once where these round twice: `improve` promises its bits.
+        x = now.x + along * now.direction
+        residual = now.residual - along * image
+        short = residual / self.diagonal
+        power = self._dot(residual, short)
+        again = torch.where(now.power > 0, power / now.power, 0.0).index_select(0, self.owner)
+        return Iterate(x, residual, short + again * now.direction, power, length)
+
+    def select(self, now: Iterate, keep: Tensor) -> Iterate:
+        """Of an iterate the systems `keep` (B,) bool."""
+        rows = keep.index_select(0, self.owner)
+        return Iterate(now.x[rows], now.residual[rows], now.direction[rows], now.power[keep], now.length[keep])
+
+    def _dot(self, u: Tensor, v: Tensor) -> Tensor:
+        return segment_sum(u * v, self.offsets)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What `solve` found: x (N,), and per problem (B,) the products taken and whether it converged.
+    """What `solve` found: x (N,), and per system (B,) the steps taken and whether it converged.
 
-    A problem whose Hessian is not positive definite stops where conjugate gradients met that, unconverged.
+    A system whose matrix is not positive definite stops where conjugate gradients met that, unconverged.
     """
 
     x: Tensor
@@ -21,75 +100,47 @@ class Solution:
     converged: Tensor
 
 
-class SymmetricOperator(Protocol):
-    """A symmetric matrix of `size` rows that is known by its products and its diagonal, each (size,)."""
-
-    @property
-    def size(self) -> int: ...
-
-    def __matmul__(self, u: Tensor) -> Tensor: ...
-
-    def diagonal(self) -> Tensor: ...
-
-
 def solve(
-    hessian: SymmetricOperator,
+    matrix: SymmetricOperator,
     right: Tensor,
     offsets: Tensor,
     *,
     tolerance: Tensor | float = 1e-10,
     max_iterations: int = 10_000,
 ) -> Solution:
-    """Solve H x = right for many problems at once, each with its own step and stopping test.
+    """Solve A x = right for many systems at once, each with its own steps and stopping test.
 
-    right      (N',) over the first N' of the Hessian's coordinates, those of the problems; the others stay
-    offsets    (B+1,) the coordinates of each problem.  Padding is where `right` and the diagonal are zero
-    tolerance  a problem is done when its preconditioned residual has fallen to this part of what it was
-
-    Conjugate gradients with the diagonal as preconditioner (Hestenes & Stiefel 1952; Saad, Iterative
-    Methods for Sparse Linear Systems, 2003, algorithm 9.1).  A problem's result does not depend on
-    what else is solved.
+    right      (N,) over the first N of the matrix's rows, those of the systems; the unknowns of the other rows
+               stay zero.  Padding is where `right` and the diagonal are zero
+    offsets    (B+1,) the rows of each system
+    tolerance  a float or (B,): a system is done when the norm of its preconditioned residual has fallen to this
+               part of what it was
     """
-    count = len(right)
-    beyond = right.new_zeros(hessian.size - count)
-
-    def product(u: Tensor) -> Tensor:
-        return (hessian @ torch.cat([u, beyond]))[:count]
-
-    def dot(u: Tensor, v: Tensor) -> Tensor:
-        return segment_sum(u * v, offsets)
-
-    def each(per_problem: Tensor) -> Tensor:
-        return per_problem.index_select(0, owner)
-
-    meshes = torch.arange(len(offsets) - 1, device=right.device)
-    owner = spread(meshes, offsets)
-    diagonal = hessian.diagonal()[:count].abs()
-    inverse = torch.where(diagonal > 0, 1 / torch.where(diagonal > 0, diagonal, 1.0), 0.0)
-    x, r = torch.zeros_like(right), right
-    z = inverse * r
-    p = z
-    rz = dot(r, z)
-    goal = rz * tolerance**2
-    running = rz > 0
+    diagonal = matrix.diagonal()[: len(right)].abs()
+    systems = Systems(_Leading(matrix, len(right)), torch.where(diagonal > 0, diagonal, torch.inf), offsets)
+    now = systems.start(torch.zeros_like(right), right)
+    goal = now.power * tolerance**2
+    running = now.power > 0
     converged = ~running
-    iterations = torch.zeros_like(meshes)
+    iterations = torch.zeros_like(offsets[1:])
     for _ in range(max_iterations):
         if not bool(running.any()):
             break
-        hp = product(p)
-        curvature = dot(p, hp)
-        indefinite = running & ~(curvature > 0)
-        running = running & ~indefinite
-        step = torch.where(running, rz / torch.where(running, curvature, 1.0), 0.0)
-        x = torch.addcmul(x, each(step), p)
-        r = torch.addcmul(r, each(step), hp, value=-1)
-        z = inverse * r
-        new = dot(r, z)
+        now = systems.step(now, running)
+        running = running & (now.length > 0)
         iterations += running
-        converged = converged | (running & (new <= goal))
-        beta = torch.where(running, new / torch.where(rz > 0, rz, 1.0), 0.0)
+        converged = converged | (running & (now.power <= goal))
         running = running & ~converged
-        p = torch.addcmul(z, each(beta), p)
-        rz = torch.where(running, new, rz)
-    return Solution(x, iterations, converged)
+    return Solution(now.x, iterations, converged)
+
+
+class _Leading:
+    """The leading block of `count` rows and columns of a matrix."""
+
+    def __init__(self, matrix: SymmetricOperator, count: int) -> None:
+        self.matrix, self.count = matrix, count
+
+    def __matmul__(self, u: Tensor) -> Tensor:
+        if self.count == self.matrix.size:
+            return self.matrix @ u
+        return (self.matrix @ torch.cat([u, u.new_zeros(self.matrix.size - self.count)]))[: self.count]
