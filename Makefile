@@ -3,8 +3,11 @@ PYTHON ?= python3
 # A build for the CPU is enough and small; take another with `make TORCH=torch==... demo`.
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
+# One worker a processor, each with one torch thread; a worker that has nothing left takes tests over from another.
+# A worker's modules of tests follow one another, so that most fixtures of a module are made once.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test bench docs clean
+.PHONY: demo test test-fast bench docs clean
 
 demo: .venv/demo
 	$(BIN)/torchmesh reproduce --out out
@@ -13,7 +16,14 @@ test: .venv/test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest
+	$(PYTEST)
+
+# For daily work: without the tests marked slow (whole runs of experiments, pages in a browser, the documentation's
+# code, many processes, large meshes) and without types.
+test-fast: .venv/test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(PYTEST) -m "not slow"
 
 bench: .venv/test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name -o addopts=
