@@ -173,7 +173,7 @@ def draw(path: Path, logs: dict[str, list[dict]], networks: dict[str, Mover], ta
     """The share of tangled outputs along the training, and the mesh that no guard tangles most."""
     import matplotlib.pyplot as plt
 
-    from torchmesh.pictures.pictures import plot_mesh
+    from torchmesh.pictures.mesh_plot import plot_mesh
 
     layer = tm.nn.Untangle(on_failure="keep")
     with torch.no_grad():

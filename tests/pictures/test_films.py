@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchmesh import InvalidMeshError, MeshBatch, MeshIOError, MissingDependencyError, animate, join, quality
-from torchmesh.pictures import films as animation
+from torchmesh.pictures import films
 
 pytest.importorskip("matplotlib")
 Image = pytest.importorskip("PIL.Image")
@@ -60,14 +60,14 @@ def test_a_gif_holds_the_stages_and_glides_between(tmp_path):
 
 def test_vertices_glide_in_straight_lines_and_flips_are_cuts():
     (_, first), (_, second), (_, third) = stages()
-    ways = animation._glide(first, second, pixels_per_unit=1e6)
-    assert len(ways) == animation._GLIDE - 1
+    ways = films._glide(first, second, pixels_per_unit=1e6)
+    assert len(ways) == films._GLIDE - 1
     for k, points in enumerate(ways, 1):
-        part = k / animation._GLIDE
+        part = k / films._GLIDE
         assert points == pytest.approx(((1 - part) * first.points + part * second.points).numpy())
-    assert animation._glide(first, second, pixels_per_unit=1e-6) == [], "nobody would see it move"
-    assert animation._glide(second, third, pixels_per_unit=1e6) == []
-    assert animation._glide(second, meshes.grid(5, 5), pixels_per_unit=1e6) == []
+    assert films._glide(first, second, pixels_per_unit=1e-6) == [], "nobody would see it move"
+    assert films._glide(second, third, pixels_per_unit=1e6) == []
+    assert films._glide(second, meshes.grid(5, 5), pixels_per_unit=1e6) == []
 
 
 def test_an_mp4(tmp_path):

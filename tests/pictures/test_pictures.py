@@ -1,103 +1,18 @@
-"""Pictures: they show what they should, in full or not at all."""
+"""Pictures in files: they show what they should, in full or not at all."""
 
 import subprocess
 import sys
-from pathlib import Path
 
 import meshes
 import numpy as np
 import pytest
-import torch
+from pictured import pixels, vermilion
 
-from torchmesh import MeshBatch, improve, quality
+from torchmesh import MeshBatch, improve
 from torchmesh.errors import MeshIOError, MissingDependencyError
-from torchmesh.files.atomic import check_target, replacing
-from torchmesh.pictures.pictures import before_after, plot_mesh, short, with_close_up, worst_place
+from torchmesh.pictures.pictures import before_after, with_close_up
 
-matplotlib = pytest.importorskip("matplotlib")
-from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-from matplotlib.image import imread  # noqa: E402
-
-
-def pixels(path: Path) -> np.ndarray:
-    return imread(path)[..., :3]
-
-
-def vermilion(image: np.ndarray) -> int:
-    """How many pixels have the colour of inverted triangles, or that colour over a pale one."""
-    r, g, b = np.moveaxis(image, 2, 0)
-    # Reddish, but neither the red of the frame (no green in it) nor that red where it fades into a pale mesh.
-    return int(((r > 0.7) & (r - g > 0.25) & (g > 0.36) & (b < 0.28)).sum())
-
-
-def drawn(mesh: MeshBatch, region=None) -> tuple[np.ndarray, object, object]:
-    """The pixels, what `plot_mesh` returned, and the axes."""
-    figure = Figure(figsize=(4, 3), dpi=100)
-    canvas = FigureCanvasAgg(figure)
-    ax = figure.add_axes((0, 0, 1, 1))
-    fill = plot_mesh(ax, mesh, quality(mesh), region)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3] / 255, fill, ax
-
-
-def test_inverted_triangles_and_only_they_are_vermilion():
-    tangled, valid = meshes.moved_hole(), meshes.grid()
-    assert int(quality(tangled).inverted[0]) > 5
-    assert vermilion(drawn(tangled)[0]) > 100
-    assert vermilion(drawn(valid)[0]) == 0
-
-
-def test_an_inverted_triangle_too_small_to_see_has_a_mark():
-    mesh = meshes.grid(160, 120)
-    points = mesh.points.clone()
-    row = 40 * 121 + 40
-    # Thrown over its neighbours: within a cell of two or three pixels.
-    points[row] += torch.tensor([1.2 / 160, 1.4 / 120])
-    tangled = mesh.with_points(points)
-    bad = ~quality(tangled).upright
-    assert 0 < int(bad.sum()) < 10
-    image, _, ax = drawn(tangled)
-    (marks,) = ax.lines
-    centre = tangled.points[tangled.triangles[bad]].mean(1)
-    assert marks.get_xydata() == pytest.approx(centre.numpy())
-    assert vermilion(image) >= 5
-
-
-def test_the_marks_of_very_many_inverted_triangles_leave_the_mesh_visible():
-    mesh = meshes.jittered(160, 160, 0.6)
-    assert int(quality(mesh).inverted[0]) > 10_000
-    image, _, _ = drawn(mesh)
-    assert 0.1 < vermilion(image) / image[..., 0].size < 0.7
-
-
-def test_a_region_draws_only_its_triangles():
-    mesh = meshes.grid(40, 40)
-    _, everything, _ = drawn(mesh)
-    _, corner, _ = drawn(mesh, (0.0, 0.0, 0.1, 0.1))
-    assert len(everything.get_array()) == 3200
-    # 4 x 4 cells of two triangles, and those that touch the rectangle's sides.
-    assert 32 <= len(corner.get_array()) <= 50
-
-
-@pytest.mark.parametrize("aspect", [0.5, 1.0, 1.7])
-def test_the_worst_place_holds_inverted_triangles_in_the_shape_asked_for(aspect):
-    mesh = meshes.moved_hole()
-    q = quality(mesh)
-    x0, y0, x1, y1 = worst_place(mesh, q, aspect)
-    centre = mesh.points[mesh.triangles[~q.upright]].mean(1)
-    inside = (centre >= torch.tensor([x0, y0])) & (centre <= torch.tensor([x1, y1]))
-    assert bool(inside.all(1).any())
-    assert (y1 - y0) / (x1 - x0) == pytest.approx(aspect)
-
-
-def test_the_worst_place_of_a_valid_mesh_holds_its_worst_triangle():
-    mesh = meshes.delaunay(80, seed=3)
-    q = quality(mesh)
-    x0, y0, x1, y1 = worst_place(mesh, q)
-    x, y = mesh.points[mesh.triangles[q.inverse_mean_ratio.argmax()]].mean(0).tolist()
-    assert x0 < x < x1
-    assert y0 < y < y1
+pytest.importorskip("matplotlib")
 
 
 def test_before_after(tmp_path):
@@ -166,42 +81,6 @@ def test_an_unknown_extension_is_one_clear_error(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-def test_places_that_cannot_be_written_to(tmp_path, monkeypatch):
-    with pytest.raises(MeshIOError, match="does not exist"):
-        check_target(tmp_path / "nowhere" / "picture.png")
-    with pytest.raises(MeshIOError, match="is a directory"):
-        check_target(tmp_path)
-
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("tempfile.mkdtemp", refuse)
-    with pytest.raises(MeshIOError, match="cannot be written: Permission denied"):
-        check_target(tmp_path / "picture.png")
-
-
-def test_replacing_leaves_the_old_file_when_the_new_one_fails(tmp_path):
-    target = tmp_path / "file.txt"
-    target.write_text("old")
-
-    def half(error: Exception) -> None:
-        with replacing(target) as path:
-            path.write_text("half")
-            raise error
-
-    with pytest.raises(ZeroDivisionError):
-        half(ZeroDivisionError())
-    with pytest.raises(MeshIOError, match=r"file\.txt: cannot be written: No space left on device"):
-        half(OSError(28, "No space left on device"))
-    with pytest.raises(KeyboardInterrupt):
-        half(KeyboardInterrupt())
-    assert target.read_text() == "old"
-    with replacing(target) as path:
-        path.write_text("new")
-    assert target.read_text() == "new"
-    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]
-
-
 def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     mesh = meshes.grid()
@@ -220,11 +99,3 @@ def test_pictures_leave_pyplot_alone(tmp_path):
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(1.0, "1.000"), (999.9, "999.900"), (4943.76, "4,944"), (1e6, "1.0e+06"), (float("inf"), "inf")],
-)
-def test_short(value, text):
-    assert short(value) == text

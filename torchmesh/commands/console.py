@@ -259,7 +259,7 @@ def print_parts(mesh: "MeshBatch", loops: "dict[str, Tensor]") -> None:
 
 
 def _number(value: float) -> str:
-    from ..pictures.pictures import short
+    from ..pictures.captions import short
 
     return f"{value:,}" if isinstance(value, int) else short(value)
 

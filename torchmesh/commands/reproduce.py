@@ -31,7 +31,10 @@ from ..improving.report import Report
 from ..learning.domains import moving
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import quality
-from ..pictures.pictures import Box, before_after, require_matplotlib, short, with_close_up
+from ..pictures.captions import short
+from ..pictures.mesh_plot import require_matplotlib
+from ..pictures.pictures import before_after, with_close_up
+from ..pictures.regions import Box
 from ..smoothing.smoothing import SmoothOptions
 from .console import json_text
 

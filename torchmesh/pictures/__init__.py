@@ -1,4 +1,4 @@
-"""What people look at: plots, films, the report page.
+"""Plots, films and the report page of a mesh.
 
 Imports from `improving` (its report) and `files`.
 """

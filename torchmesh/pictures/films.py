@@ -1,9 +1,9 @@
 """A film of a mesh in its stages, for talks and papers: gif, or mp4 with the extra `video`.
 
-    stages --between--> pictures (whole mesh, close-up, one colour scale) --Pillow or ffmpeg--> file
+    stages --scenes--> pictures (whole mesh, close-up, one colour scale) --Pillow or ffmpeg--> file
 
-Where only vertices moved from one stage to the next, the film lets them glide there in straight lines;
-flips and re-triangulations are cuts.
+Where only vertices moved from one stage to the next, the film lets them glide there along straight lines.  Flips and
+re-triangulations are cuts.
 """
 
 import math
@@ -19,29 +19,29 @@ from ..errors import InvalidMeshError, MeshIOError, MissingDependencyError
 from ..files.atomic import check_target, replacing
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import quality as measure
-from .pictures import Sheet, plot_mesh, require_matplotlib, summary, view_of, within, worst_place
+from .captions import panel_title
+from .mesh_plot import plot_mesh, require_matplotlib
+from .regions import view_of, within, worst_region
+from .sheet import Sheet
 
 FILM_EXTENSIONS = (".gif", ".mp4")
 
-
-# Seconds that a stage stays: the first, those between, the last; and that one picture of a motion stays.
+# Seconds: how long the first stage, those between and the last one stay, and each picture of a motion.
 _FIRST, _BETWEEN, _LAST, _MOTION = 1.5, 0.5, 3.0, 0.06
 
-
-# Pictures of a motion at most, and pixels that the fastest vertex goes from one to the next at most.
+# A motion has at most so many pictures, and fewer if the fastest vertex would go fewer pixels than this in each.
 _GLIDE, _STRIDE = 6, 8.0
 
-
+# Pictures in a second of an mp4, of which a stage that stays has many.
 _MP4_RATE = 50
 
-
-_DPI = 80
+_DOTS_PER_INCH = 80
 
 
 def check_film_path(path: str | os.PathLike[str]) -> Path:
-    """The path, if a film can be written there; to be asked before long work.
+    """The path, if a film can be written there.  Callers ask before long work.
 
-    Raises MeshIOError for an unknown extension, a directory, or one that does not exist, and
+    Raises MeshIOError for an unknown extension, a directory, or a path in a directory that does not exist, and
     MissingDependencyError without matplotlib or, for mp4, without imageio-ffmpeg.
     """
     path = Path(path)
@@ -62,7 +62,7 @@ def check_film_path(path: str | os.PathLike[str]) -> Path:
 
 
 def animate(path: str | os.PathLike[str], stages: Sequence[tuple[str, MeshBatch]], *, title: str | None = None) -> None:
-    """Write a film of a mesh in its stages: whole on the left, the worst place at the start on the right.
+    """Write a film of a mesh in its stages: whole on the left, the worst region of the first stage on the right.
 
     path    .gif or .mp4; written whole or not at all
     stages  names and meshes, each a batch of one, in order: what `improve(mesh, observe=...)` calls with
@@ -102,7 +102,7 @@ def _scenes(stages: Sequence[tuple[str, MeshBatch]], pixels_per_unit: float) -> 
 
 
 def _glide(before: MeshBatch, after: MeshBatch, pixels_per_unit: float) -> list[torch.Tensor]:
-    """Positions on the straight ways from before to after, without the ends; none where the triangles differ."""
+    """Points (V, 2) at equal steps from before to after, without the ends; none where the triangles differ."""
     if before.triangles.shape != after.triangles.shape or not torch.equal(before.triangles, after.triangles):
         return []
     way = after.points - before.points
@@ -112,7 +112,10 @@ def _glide(before: MeshBatch, after: MeshBatch, pixels_per_unit: float) -> list[
 
 
 class _Camera:
-    """What every picture of one film has in common: the sheet, on which only the meshes and a title change."""
+    """The sheet that every picture of one film is drawn on: only the meshes and a title change from one to the next.
+
+    pixels_per_unit  of the close-up, in which motions are seen best, for one length unit of the mesh
+    """
 
     def __init__(self, first: MeshBatch, last: MeshBatch, title: str | None) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -120,20 +123,19 @@ class _Camera:
         self.view = view_of(first, last)
         self.sheet = Sheet(self.view, rows=1, title=title or " ")
         panel = self.sheet.panel
-        self.close_up = within(worst_place(first, measure(first), panel[1] / panel[0]), self.view)
-        # Motions are seen best in the close-up.
-        self.pixels_per_unit = _DPI * panel[0] / (self.close_up[2] - self.close_up[0])
+        self.close_up = within(worst_region(first, measure(first), panel[1] / panel[0]), self.view)
+        self.pixels_per_unit = _DOTS_PER_INCH * panel[0] / (self.close_up[2] - self.close_up[0])
         self.whole, self.near = self.sheet.axes(0, 0), self.sheet.axes(0, 1)
         self.near.set_title("close-up of the red rectangle", fontsize=10)
-        self.sheet.figure.set_dpi(_DPI)
+        self.sheet.figure.set_dpi(_DOTS_PER_INCH)
         self.canvas = FigureCanvasAgg(self.sheet.figure)
         self.background: Any = None
 
     def picture(self, name: str, mesh: MeshBatch) -> np.ndarray:
-        """(height, width, 3) uint8, height and width even."""
+        """The pixels (height, width, 3) uint8; height and width are even, as video codecs want."""
         q = measure(mesh)
         fill = plot_mesh(self.whole, mesh, q, self.view, frame=self.close_up)
-        self.whole.set_title(summary(f"{name}:", mesh, q, self.sheet.panel[0]), fontsize=10)
+        self.whole.set_title(panel_title(f"{name}:", q, self.sheet.panel[0]), fontsize=10)
         plot_mesh(self.near, mesh, q, self.close_up)
         changing = [[*ax.collections, *ax.lines, *ax.patches] for ax in (self.whole, self.near)]
         if self.background is None:
@@ -152,7 +154,7 @@ class _Camera:
         return pixels[:height, :width].copy()
 
     def _keep_background(self, changing: list[Any]) -> None:
-        """Draw axes, ticks, key and labels once: they take most of the time of a picture and never change."""
+        """Draw axes, ticks, key and labels once: they never change, and drawing them takes most of a picture's time."""
         for artist in changing:
             artist.set_visible(False)
         self.canvas.draw()
@@ -168,7 +170,7 @@ def _write_gif(path: Path, pictures: Iterator[tuple[np.ndarray, float]]) -> None
     palette = None
     for picture, seconds in pictures:
         image = Image.fromarray(picture)
-        # One palette, that of the first picture, which has all colours of the scale: else they would flicker.
+        # All pictures use the palette of the first one, which has all colours of the scale; else colours would flicker.
         palette = palette or image.quantize(256, dither=Image.Dither.NONE)
         images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
         milliseconds.append(round(1000 * seconds))

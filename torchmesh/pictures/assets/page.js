@@ -7,7 +7,6 @@
   const header = JSON.parse(at("header").textContent);
   const shade = colourScale(header);
   const root = document.documentElement;
-  root.style.setProperty("--ramp", header.palette.join(","));
   // A mesh of more triangles is painted without edges while in motion.
   const LIGHT = 20000;
 
@@ -91,12 +90,13 @@
       const stage = canvas.id === "canvas" ? current() : before();
       root.dataset.seen = paint(canvas, stage, view, {
         shade,
-        inverted: header.inverted,
+        colours: header.colours,
         edges: !state.moving || stage.count <= LIGHT,
         selected: showsSelected(stage) ? state.selected : -1,
       });
     }
     root.dataset.frame = (performance.now() - started).toFixed(1);
+    root.dataset.moving = state.moving;
     root.dataset.view = [view.x, view.y, view.scale].join(" ");
   }
 
@@ -164,14 +164,14 @@
     repaint();
   }
 
-  // The triangle at a place of a canvas, or -1.
+  // The triangle at a position on a canvas, or -1.
   function pick(canvas, px, py) {
     const stage = canvas.id === "canvas" ? current() : before();
     return triangleAt(stage, view.x + (px - canvas.width / 2) / view.scale, view.y + (canvas.height / 2 - py) / view.scale);
   }
 
   // In space, in the file's own coordinates; two numbers for a mesh in a plane z = 0.
-  function place(points, v) {
+  function position(points, v) {
     const [o, e, f] = header.frame;
     const x = header.origin[0] + header.step * points[2 * v], y = header.origin[1] + header.step * points[2 * v + 1];
     const xyz = [0, 1, 2].map((k) => o[k] + x * e[k] + y * f[k]);
@@ -189,7 +189,7 @@
     const stage = described(), shape = cornersOf(stage, t), bad = isInverted(stage, t), code = stage.codes[t];
     const value = 2 ** (code / header.codesADoubling);
     const ratio = code === header.infiniteCode ? "infinite" : code === header.infiniteCode - 1 ? `over ${value.toPrecision(2)}` : value.toPrecision(4);
-    const vertices = [0, 1, 2].map((k) => stage.corners[3 * t + k]).map((v) => `${v} ${place(stage.points, v)}`);
+    const vertices = [0, 1, 2].map((k) => stage.corners[3 * t + k]).map((v) => `${v} ${position(stage.points, v)}`);
     box.className = bad ? "bad" : "";
     box.textContent =
       `Triangle ${t}${bad ? ", inverted" : ""} (stage ${stage.name}): inverse mean ratio ${ratio}, ` +
@@ -276,9 +276,9 @@
       down.set(event.pointerId, now);
     });
     canvas.addEventListener("pointerup", (event) => {
-      const place = spot(event);
+      const { x, y } = spot(event);
       if (down.delete(event.pointerId) && !down.size && travelled <= 5 * devicePixelRatio) {
-        select(pick(canvas, place.x, place.y), canvas.id === "canvas-before");
+        select(pick(canvas, x, y), canvas.id === "canvas-before");
       }
     });
     canvas.addEventListener("pointercancel", (event) => down.delete(event.pointerId));

@@ -53,15 +53,15 @@ function prepare(stage) {
     }
   }
   keys.sort();
-  const inner = [], rim = [];
+  const inner = [], boundary = [];
   for (let i = 0; i < keys.length; ) {
     let j = i + 1;
     while (j < keys.length && keys[j] === keys[i]) j++;
-    (j - i === 1 ? rim : inner).push(Math.floor(keys[i] / vertices), keys[i] % vertices);
+    (j - i === 1 ? boundary : inner).push(Math.floor(keys[i] / vertices), keys[i] % vertices);
     i = j;
   }
   stage.inner = Uint32Array.from(inner);
-  stage.rim = Uint32Array.from(rim);
+  stage.boundary = Uint32Array.from(boundary);
   const rank = (t) => stage.codes[t] + (isInverted(stage, t) ? 65536 : 0);
   stage.worst = Uint32Array.from({ length: count }, (_, t) => t).sort((s, t) => rank(t) - rank(s) || s - t);
   return stage;
@@ -93,7 +93,7 @@ function smallestAngle([ax, ay, bx, by, cx, cy]) {
 
 const signedArea = ([ax, ay, bx, by, cx, cy]) => ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)) / 2;
 
-// The triangle at a place: an inverted one before others, then the smallest; -1: none.
+// The triangle at a position: an inverted one before others, then the smallest; -1: none.
 function triangleAt(stage, x, y) {
   let best = -1, bestRank = Infinity;
   for (let t = 0; t < stage.count; t++) {
@@ -114,12 +114,13 @@ const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
 const pixel = (c) => (255 << 24) | (Math.round(c[2]) << 16) | (Math.round(c[1]) << 8) | Math.round(c[0]);
 
 // The pixel colour of a quality code.
-function colourScale({ palette, worstShown, codesADoubling }, shades = 64) {
+function colourScale({ colours, worstShown, codesADoubling }, shades = 64) {
   const ramp = Int32Array.from({ length: shades }, (_, i) => {
-    const place = (i / (shades - 1)) * (palette.length - 1);
-    const k = Math.min(Math.floor(place), palette.length - 2);
-    const [a, b] = [rgb(palette[k]), rgb(palette[k + 1])];
-    return pixel(a.map((v, j) => v + (place - k) * (b[j] - v)));
+    const { shapes } = colours;
+    const position = (i / (shades - 1)) * (shapes.length - 1);
+    const k = Math.min(Math.floor(position), shapes.length - 2);
+    const [a, b] = [rgb(shapes[k]), rgb(shapes[k + 1])];
+    return pixel(a.map((v, j) => v + (position - k) * (b[j] - v)));
   });
   const top = codesADoubling * Math.log2(worstShown);
   return (code) => ramp[Math.min(shades - 1, Math.floor((code / top) * shades))];
@@ -161,12 +162,12 @@ function drawDot(pixels, width, height, x, y, radius, colour) {
 
 // --- painting -------------------------------------------------------------------------------------
 
-// More inverted triangles than this are drawn without rims: the rims would hide the mesh and cost time.
-const RIMMED = 500;
+// More inverted triangles than this are drawn without outlines: outlines would hide the mesh and cost time.
+const OUTLINED = 500;
 
 // Paint a stage and return the number of triangles in sight.
 //   view  x, y: the world at the canvas's middle; scale: pixels to a grid step; ratio: pixels to a CSS pixel
-//   look  shade: code to pixel colour; inverted: its fill and rim; edges: draw them; selected: row or -1
+//   look  shade: code to pixel colour; colours: those of palette.py; edges: draw them; selected: row or -1
 function paint(canvas, stage, view, look) {
   const context = canvas.getContext("2d");
   const { width, height } = canvas;
@@ -176,7 +177,7 @@ function paint(canvas, stage, view, look) {
   }
   const { pixels } = canvas, { corners, codes, count } = stage;
   const screen = toScreen(stage.points, view, width, height);
-  const dot = 2.5 * view.ratio, vermilion = pixel(rgb(look.inverted.fill));
+  const dot = 2.5 * view.ratio, vermilion = pixel(rgb(look.colours.inverted));
   const small = [], large = [];
   let seen = 0, sizes = 0;
   pixels.fill(-1);
@@ -191,7 +192,7 @@ function paint(canvas, stage, view, look) {
     if (isInverted(stage, t)) (size < 2 * dot ? small : large).push(t);
     else fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, look.shade(codes[t]));
   }
-  const many = small.length + large.length > RIMMED;
+  const many = small.length + large.length > OUTLINED;
   for (const t of large) {
     const [ax, ay, bx, by, cx, cy] = cornersOf({ points: screen, corners }, t);
     fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, vermilion);
@@ -210,11 +211,11 @@ function paint(canvas, stage, view, look) {
   const edge = seen ? sizes / seen : 0, dense = 4 * view.ratio;
   if (look.edges && edge > dense) {
     const opacity = Math.min(0.8, edge / (8 * dense));
-    strokeEdges(context, screen, stage.inner, `rgba(50,60,70,${opacity})`, view.ratio * Math.min(1, edge / (10 * dense) + 0.4));
+    strokeEdges(context, screen, stage.inner, `rgba(${rgb(look.colours.edge)},${opacity})`, view.ratio * Math.min(1, edge / (10 * dense) + 0.4));
   }
-  strokeEdges(context, screen, stage.rim, "#303840", 1.2 * view.ratio);
-  if (!many) strokeTriangles(context, screen, corners, large, look.inverted.rim, 1.5 * view.ratio);
-  if (look.selected >= 0) ring(context, screen, corners, look.selected, view.ratio);
+  strokeEdges(context, screen, stage.boundary, look.colours.boundary, 1.2 * view.ratio);
+  if (!many) strokeTriangles(context, screen, corners, large, look.colours.outline, 1.5 * view.ratio);
+  if (look.selected >= 0) ring(context, screen, corners, look.selected, view.ratio, look.colours.selected);
   return seen;
 }
 
@@ -257,10 +258,10 @@ function strokeTriangles(context, screen, corners, rows, colour, thickness) {
   context.stroke();
 }
 
-// The selected triangle: red between white, and a circle that finds it where it is tiny.
-function ring(context, screen, corners, t, ratio) {
+// The selected triangle: an outline between white ones, and a circle that finds it where it is tiny.
+function ring(context, screen, corners, t, ratio, colour) {
   strokeTriangles(context, screen, corners, [t], "#fff", 6 * ratio);
-  strokeTriangles(context, screen, corners, [t], "#c00", 3 * ratio);
+  strokeTriangles(context, screen, corners, [t], colour, 3 * ratio);
   const [ax, ay, bx, by, cx, cy] = cornersOf({ points: screen, corners }, t);
   const x = (ax + bx + cx) / 3, y = (ay + by + cy) / 3;
   if (Math.max(Math.abs(ax - x), Math.abs(ay - y), Math.abs(bx - x), Math.abs(by - y)) > 20 * ratio) return;

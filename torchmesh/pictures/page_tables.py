@@ -1,0 +1,78 @@
+"""The tables of the report page as HTML: the mesh before and after, and every stage."""
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from ..improving.report import Step
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import Quality, signed_minimum_angles
+from .captions import short
+
+_INVERTED = "inverted"
+
+
+def numbers_table(names: Sequence[str], stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality]) -> str:
+    """The first and the last stage in numbers; of a single stage, that one.
+
+    names     the heads of the columns
+    measured  the quality of each stage
+    """
+    ends = [0, -1] if len(stages) > 1 else [0]
+    columns = [_numbers(stages[i][1], measured[i]) for i in ends]
+    rows = [
+        f'<tr><th scope="row">{title}</th>'
+        + "".join(_cell(column[title], title == _INVERTED and column[title] != 0) for column in columns)
+        + "</tr>"
+        for title in columns[0]
+    ]
+    return _table(["", *names[: len(ends)]], rows)
+
+
+def steps_table(
+    labels: Sequence[str], measured: Sequence[Quality], steps: Sequence[Step | None], shown: Sequence[int]
+) -> str:
+    """One row for each stage: its quality, what it did where a report tells, a button where the picture has it.
+
+    labels  the names of the stages
+    shown   the stages that the picture has, in its order
+    """
+    costs = ["flips", "iterations", "seconds"] if steps[0] is not None else []
+    rows = []
+    for i, (label, q, step) in enumerate(zip(map(escape, labels), measured, steps, strict=True)):
+        inverted = int(q.inverted[0])
+        cells = [_cell(inverted, inverted > 0), _cell(float(q.mean[0])), _cell(float(q.max[0]))]
+        if step is not None:
+            cells += [_cell(step.flips), _cell(step.iterations), _cell(f"{step.seconds:.3f}")]
+        button, mark = "", ""
+        if i in shown:
+            index = shown.index(i)
+            mark = f' data-stage="{index}"'
+            button = f'<button type="button" data-stage="{index}" aria-label="Show stage {label}">Show</button>'
+        rows.append(f'<tr{mark}><th scope="row">{label}</th>{"".join(cells)}<td>{button}</td></tr>')
+    return _table(["stage", _INVERTED, "IMR average", "IMR maximum", *costs, ""], rows)
+
+
+def _numbers(mesh: MeshBatch, quality: Quality) -> dict[str, int | float | str]:
+    angle = np.abs(signed_minimum_angles(mesh, quality))
+    return {
+        "triangles": len(mesh.triangles),
+        "vertices": len(mesh.points),
+        _INVERTED: int(quality.inverted[0]),
+        "IMR average": float(quality.mean[0]),
+        "IMR maximum": float(quality.max[0]),
+        "smallest angle (degrees)": f"{angle.min():.2f}",
+        "smallest angle of a triangle, average (degrees)": f"{angle.mean():.2f}",
+    }
+
+
+def _cell(value: int | float | str, bad: bool = False) -> str:
+    text = f"{value:,}" if isinstance(value, int) else value if isinstance(value, str) else short(value)
+    return f'<td class="bad">{text}</td>' if bad else f"<td>{text}</td>"
+
+
+def _table(head: Sequence[str], rows: Sequence[str]) -> str:
+    cells = "".join(f'<th scope="col">{escape(name)}</th>' for name in head)
+    body = "".join(rows)
+    return f'<div class="table"><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>'
