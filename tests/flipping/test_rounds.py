@@ -65,8 +65,8 @@ def assert_same_domain(before, after, info):
     assert max(directed_edges(after.triangles).values()) == 1
     assert max(edge_counts(after.triangles).values()) <= 2
     assert total_area(after) == total_area(before)
-    assert torch.equal(info.twin, connectivity.twins(after.triangles))
-    assert connectivity.euler_number(after.triangles, info.twin) == connectivity.euler_number(
+    assert torch.equal(after.twin, connectivity.twins(after.triangles))
+    assert connectivity.euler_number(after.triangles, after.twin) == connectivity.euler_number(
         before.triangles, connectivity.twins(before.triangles)
     )
     assert {frozenset(e) for e in before.constrained_edges.tolist()} <= set(edge_counts(after.triangles))
@@ -327,14 +327,13 @@ def test_around_starts_from_the_triangles_given():
     assert flip_to_delaunay(both, around=torch.zeros(4, dtype=torch.bool))[1].flips.tolist() == [0, 0]
 
 
-def test_the_callers_twins_are_used_and_not_changed():
+def test_twins_are_handed_on_by_flips_and_those_given_are_not_changed():
     mesh = meshes.jittered()
-    twin = connectivity.twins(mesh.triangles)
-    copy = twin.clone()
-    flipped, info = flip_to_delaunay(mesh, twin=twin)
-    assert torch.equal(twin, copy)
-    assert torch.equal(flipped.triangles, flip_to_delaunay(mesh)[0].triangles)
-    assert int(flip_to_delaunay(flipped, twin=info.twin)[1].flips) == 0
+    copy = mesh.twin.clone()
+    flipped, info = flip_to_delaunay(mesh)
+    assert int(info.flips) > 0
+    assert torch.equal(mesh.twin, copy)
+    assert torch.equal(flipped.known_twin, connectivity.twins(flipped.triangles))
 
 
 def test_constrained_half_edges_are_both_halves_of_the_constrained_edges():

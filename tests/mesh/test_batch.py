@@ -1,5 +1,6 @@
 import dataclasses
 import math
+import pickle
 import warnings
 
 import meshes
@@ -20,7 +21,7 @@ HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 
 def same(a: MeshBatch, b: MeshBatch) -> bool:
     """Every tensor of the two has the same values and dtype."""
-    pairs = [(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(MeshBatch)]
+    pairs = [(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(MeshBatch) if f.name != "_twin"]
     return all(torch.equal(x, y) and x.dtype == y.dtype for x, y in pairs)
 
 
@@ -457,3 +458,31 @@ def test_a_mesh_whose_areas_would_underflow_is_refused():
     points = np.array([[0, 0], [1, 0], [0, 1]]) * 1e-160
     with pytest.raises(InvalidMeshError, match="underflow"):
         MeshBatch.from_arrays(points, [[0, 1, 2]])
+
+
+def test_twins_travel_with_the_mesh_and_cannot_go_stale():
+    batch = join([meshes.grid(), meshes.ring(), meshes.l_shape()])
+    assert torch.equal(batch.known_twin, connectivity.twins(batch.triangles))
+    for mesh in batch.split():
+        assert torch.equal(mesh.known_twin, connectivity.twins(mesh.triangles))
+    keep = torch.tensor([True, False, True])
+    part = batch.select(keep)
+    assert torch.equal(part.known_twin, connectivity.twins(part.triangles))
+    assert batch.with_points(batch.points + 1).known_twin is not None
+    # Other triangles, by whatever way, have other twins.
+    turned = part.triangles.roll(1, 1)
+    for other in (part.with_triangles(turned), dataclasses.replace(part, triangles=turned)):
+        assert other.known_twin is None
+        assert torch.equal(other.twin, connectivity.twins(turned))
+        assert other.known_twin is other.twin
+        back = put(batch, keep, other)
+        assert torch.equal(back.known_twin, connectivity.twins(back.triangles))
+    unasked = dataclasses.replace(batch, _twin=None)
+    assert unasked.select(keep).known_twin is None
+    assert all(mesh.known_twin is None for mesh in unasked.split())
+    assert join([unasked, batch]).known_twin is None
+    assert put(unasked, keep, part).known_twin is None
+    sent = pickle.loads(pickle.dumps(batch))
+    assert sent.known_twin is None
+    assert torch.equal(sent.twin, batch.twin)
+    assert batch.to(torch.float32).points.dtype == torch.float32

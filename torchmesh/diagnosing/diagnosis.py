@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
@@ -62,9 +61,7 @@ class Problem:
     place: tuple[float, float]
 
 
-def diagnose(
-    batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most: int = 20, twin: Tensor | None = None
-) -> list[Problem]:
+def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most: int = 20) -> list[Problem]:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
     topology  "flip": whatever the triangles.  No problem found means that `untangle_by_pockets` can
@@ -72,7 +69,6 @@ def diagnose(
               triangles as they are, also the obstructions that moving free vertices cannot mend.  They are
               not all there are: a mesh without a problem may still have no valid places
     most      how many problems of one kind are told of one mesh
-    twin      (3T,) twins of the half-edges, if the caller has them
 
     A mesh, or a piece of it, that has no inverted triangle is valid, and nothing is said of it.
     Slits of no width may be there: where two stretches of boundary lie on each other edge by edge, they are
@@ -83,7 +79,7 @@ def diagnose(
     if topology not in ("keep", "flip"):
         raise ValueError(f"topology must be 'keep' or 'flip', not {topology!r}")
     # All meshes at once as pieces of one; only where something is found is each looked at alone.
-    if len(batch) > 1 and not _of_one(batch, topology == "keep", most, twin=twin):
+    if len(batch) > 1 and not _of_one(batch, topology == "keep", most):
         return []
     problems = []
     for b, mesh in enumerate(batch.split()):
@@ -98,10 +94,10 @@ def diagnose(
 _Found = tuple[ProblemKind, str, tuple[int, ...], tuple[float, float]]
 
 
-def _of_one(mesh: MeshBatch, keep: bool, most: int, sew: bool = True, twin: Tensor | None = None) -> list[_Found]:
+def _of_one(mesh: MeshBatch, keep: bool, most: int, sew: bool = True) -> list[_Found]:
     points = mesh.points.detach().to("cpu", torch.float64).numpy()
     triangles = mesh.triangles.cpu()
-    twin = connectivity.twins(triangles) if twin is None else twin.cpu()
+    twin = mesh.twin.cpu()
     label = connectivity.triangle_components(triangles, twin)
     fallen = torch.from_numpy(signs(points, *triangles.numpy().T) <= 0)
     # A piece whose triangles are all upright is valid, whatever its boundary does.

@@ -6,7 +6,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.neighbourhoods import constrained_half_edges
 from ..mesh.ragged import spread
@@ -51,18 +50,15 @@ class FlipInfo:
     """What `flip_to_delaunay` did.
 
     flips  (B,) int64 edges flipped in each mesh
-    twin   (3T,) int64 twins of the flipped mesh, so that nobody need sort its edges again
     """
 
     flips: Tensor
-    twin: Tensor
 
 
 def flip_to_delaunay(
     batch: MeshBatch,
     options: FlipOptions | None = None,
     *,
-    twin: Tensor | None = None,
     around: Tensor | None = None,
     metric: MetricField | None = None,
 ) -> tuple[MeshBatch, FlipInfo]:
@@ -71,23 +67,21 @@ def flip_to_delaunay(
     Delaunay by exact in-circle signs; edges of four points on one circle stay as they are.
     Vertices, boundary and constrained edges are untouched; triangles keep their number.
 
-    twin    (3T,) twins of `batch`, if the caller has them
     around  (T,) bool, start from the edges of these triangles only
     metric  flip, in place of the rule in the options, towards triangles that are equilateral in it
     """
     options = options or FlipOptions()
-    twin = connectivity.twins(batch.triangles) if twin is None else twin
     # A power of two changes no sign and keeps every product of the rules in range.
     unit = centre_and_unit(batch.points, batch.point_offsets)[1]
     triangles, twin, log = flip_rounds(
         batch.points.to(torch.float64) / spread(unit, batch.point_offsets)[:, None],
         batch.triangles,
-        twin,
-        constrained_half_edges(batch, twin),
+        batch.twin,
+        constrained_half_edges(batch, batch.twin),
         _RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
         once=options.once,
         max_rounds=options.max_rounds,
         around=around,
     )
     owner = torch.bucketize(log, batch.triangle_offsets[1:], right=True)
-    return batch.with_triangles(triangles), FlipInfo(torch.bincount(owner, minlength=len(batch)), twin)
+    return batch.with_triangles(triangles, twin), FlipInfo(torch.bincount(owner, minlength=len(batch)))

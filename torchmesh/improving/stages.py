@@ -14,8 +14,7 @@ from torch import Tensor
 
 from ..diagnosing.diagnosis import diagnose
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
-from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, put, put_twins, select_twins
+from ..mesh.batch import MeshBatch, put
 from ..mesh.certificate import same_frame
 from ..mesh.measure import quality
 from ..mesh.neighbourhoods import corners_of, rewired, touching, vertex_size
@@ -82,6 +81,9 @@ class Job:
         hold: Tensor | None = None,
     ) -> None:
         self.given = self.batch = batch
+        if options.topology != "keep":
+            # Computed once: selections, flips and `put` hand them on.
+            batch.twin  # noqa: B018
         self.rails: Rails | None = None
         if options.slides:
             from ..smoothing.sliding import rails_of
@@ -92,8 +94,6 @@ class Job:
         self.options, self.progress, self.observe = options, progress, observe
         self.targets = as_targets(options.smooth.targets)
         self.quality = quality(batch)
-        self._twin: Tensor | None = None
-        self._given_twin: Tensor | None = None
         self.remeshed: RemeshInfo | None = None
         # (V,) the sizes that were asked for and have travelled with the vertices of the valid meshes.
         self.relocated_sizes: Tensor | None = None
@@ -146,8 +146,7 @@ class Job:
         meshes = at.nonzero().squeeze(1).tolist()
         found: dict[int, list[str]] = {}
         may_change: Literal["keep", "flip"] = "keep" if self.options.topology == "keep" else "flip"
-        twin = None if self.options.topology == "keep" else self._twins(at)
-        for problem in diagnose(self.batch.select(at), may_change, twin=twin):
+        for problem in diagnose(self.batch.select(at), may_change):
             found.setdefault(meshes[problem.mesh], []).append(problem.message)
         for b, texts in found.items():
             self.status[b] = Status.INFEASIBLE
@@ -239,7 +238,6 @@ class Job:
                 work = Relocation(self.batch.select(at), self._sized(at))
                 work.improve(torch.ones_like(at[at]))
                 part, flips = gather(work.batch, work.options)
-                self._twin = None
                 if asked.sizes_asked:
                     self.relocated_sizes = work.size
                 done(part, flips=work.flips + flips)
@@ -253,7 +251,6 @@ class Job:
         if bool(at.any()):
             with self._stage("polish", at) as done:
                 part, info = polish(self.batch.select(at), options)
-                self._twin = None
                 done(part, flips=info.flips)
 
     def remesh(self) -> None:
@@ -268,14 +265,12 @@ class Job:
 
             with self._stage("surgery", stuck) as done:
                 pockets = untangle_by_surgery(work, stuck)
-                self._twin = None
                 done(work.batch, pockets=pockets[stuck])
             at = self.quality.inverted == 0
             self.status[stuck & at] = Status.SETTLED
         if bool(at.any()):
             with self._stage("remesh", at) as done:
                 work.improve(at)
-                self._twin = None
                 done(work.batch, flips=work.flips[at])
             if work.metric is not None:
                 self.targets = MetricField(work.metric)
@@ -307,7 +302,6 @@ class Job:
         messages = [self._message(b, Status(status)) for b, status in enumerate(self.status.tolist())]
         certified = valid & same_frame(
             self.given, self.batch, self.stays, None if self.remeshed is None else self.remeshed.vertex_map,
-            self._given_twin,
         )  # fmt: skip
         return Report(
             self.status, valid, certified, self.quality, self.steps, messages, self.moved, self.remeshed,
@@ -343,17 +337,10 @@ class Job:
                 around = None if near is None else touching(part, near[spread(at, self.batch.point_offsets)])
                 targets = narrow(self.targets, self.batch, at) if options.rule == "shape" else None
                 metric = targets if isinstance(targets, MetricField) else None
-                part, info = flip_to_delaunay(part, options, twin=self._twins(at), around=around, metric=metric)
+                part, info = flip_to_delaunay(part, options, around=around, metric=metric)
                 flips[at] = info.flips
-                done(part, flips=info.flips, twin=info.twin)
+                done(part, flips=info.flips)
         return flips
-
-    def _twins(self, at: Tensor) -> Tensor:
-        """The twins of the meshes `at`, sorted out once and then kept up to date by the flips."""
-        if self._twin is None:
-            self._twin = connectivity.twins(self.batch.triangles)
-            self._given_twin = self._twin if self.batch is self.given else self._given_twin
-        return select_twins(self.batch, self._twin, at)
 
     def _untangle(self, stage: str, at: Tensor, options: UntangleOptions) -> Tensor:
         """Move the vertices of the meshes `at`; returns the iterations (B,)."""
@@ -397,8 +384,6 @@ class Job:
             self.obstacles.update(zip(at.nonzero().squeeze(1).tolist(), getattr(info, "reasons", ()), strict=False))
             now = self.batch.select(at)
             part = put(now, better, part.select(better)) if bool(better.any()) else now
-            if not torch.equal(part.triangles, now.triangles):
-                self._twin = None
             iterations, pockets = (getattr(info, name, None) for name in ("iterations", "pockets"))
             done(part, iterations=iterations, pockets=pockets, kept=better)
 
@@ -419,12 +404,9 @@ class Job:
             part: MeshBatch,
             flips: Tensor | None = None,
             iterations: Tensor | None = None,
-            twin: Tensor | None = None,
             pockets: Tensor | None = None,
             kept: Tensor | None = None,
         ) -> None:
-            if twin is not None and self._twin is not None:
-                self._twin = put_twins(self.batch, self._twin, at, twin)
             before, self.batch = self.batch, put(self.batch, at, part)
             self.quality = quality(self.batch, known=(before, self.quality))
             seconds = time.perf_counter() - started

@@ -5,9 +5,10 @@ that say which rows belong to whom.  A single mesh is a batch of one.
 """
 
 import dataclasses
+import itertools
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -31,7 +32,8 @@ class MeshBatch:
     triangle_offsets   (B+1,) int64, likewise for triangles
     frames             (B, 3, 3) float64, each mesh's plane in space: origin, x axis, y axis
 
-    Make one with `from_arrays`, which checks; the constructor itself does not.
+    Make one with `from_arrays`, which checks; the constructor itself does not.  The half-edge twins are computed when
+    `twin` is first asked for, and travel with the mesh from then on.
     """
 
     points: Tensor
@@ -41,6 +43,8 @@ class MeshBatch:
     point_offsets: Tensor
     triangle_offsets: Tensor
     frames: Tensor
+    # The triangles for which twins are known, and these twins: replacing the triangles makes them unknown.
+    _twin: tuple[Tensor, Tensor] | None = field(default=None, repr=False)
 
     @classmethod
     def from_arrays(cls, points: Any, triangles: Any, fixed: Any = None, constrained_edges: Any = None) -> "MeshBatch":
@@ -77,7 +81,26 @@ class MeshBatch:
             point_offsets=torch.tensor([0, count], device=flat.device),
             triangle_offsets=torch.tensor([0, len(faces)], device=flat.device),
             frames=frame[None],
+            _twin=(faces, twin),
         )
+
+    @property
+    def twin(self) -> Tensor:
+        """(3T,) int64 twin of each half-edge, -1 on the boundary, as `connectivity.twins` numbers them."""
+        known = self.known_twin
+        if known is None:
+            known = connectivity.twins(self.triangles)
+            object.__setattr__(self, "_twin", (self.triangles, known))
+        return known
+
+    @property
+    def known_twin(self) -> Tensor | None:
+        """The twins if they have been computed; None: nobody has asked for them yet."""
+        return None if self._twin is None or self._twin[0] is not self.triangles else self._twin[1]
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Twins are sooner computed than sent to another process.
+        return self.__dict__ | {"_twin": None}
 
     def __len__(self) -> int:
         return len(self.point_offsets) - 1
@@ -96,36 +119,41 @@ class MeshBatch:
             )
         return dataclasses.replace(self, points=points.to(self.points))
 
-    def with_triangles(self, triangles: Tensor) -> "MeshBatch":
-        """The same vertices joined otherwise: (T, 3), each mesh keeping its number of triangles."""
+    def with_triangles(self, triangles: Tensor, twin: Tensor | None = None) -> "MeshBatch":
+        """The same vertices joined otherwise: (T, 3), each mesh keeping its number of triangles.
+
+        twin  (3T,) the twins of these triangles, if the caller has them
+        """
         if triangles.shape != self.triangles.shape:
             raise InvalidMeshError(
                 f"triangles must be {tuple(self.triangles.shape)} as in the batch, not {tuple(triangles.shape)}"
             )
-        return dataclasses.replace(self, triangles=triangles)
+        return dataclasses.replace(self, triangles=triangles, _twin=None if twin is None else (triangles, twin))
 
     def to(self, *args: Any, **kwargs: Any) -> "MeshBatch":
         """As `torch.Tensor.to`: a dtype converts the points, a device moves every tensor."""
         points = self.points.to(*args, **kwargs)
-        moved = {f.name: getattr(self, f.name).to(points.device) for f in dataclasses.fields(self)}
-        return MeshBatch(**(moved | {"points": points}))
+        columns = (f.name for f in dataclasses.fields(self) if f.name not in ("points", "_twin"))
+        return MeshBatch(points, **{name: getattr(self, name).to(points.device) for name in columns})
 
     def split(self) -> list["MeshBatch"]:
         """The B meshes, each a batch of one."""
         vertex, face = self.point_offsets.tolist(), self.triangle_offsets.tolist()
-        owner = self._constraint_owner()
+        owner, twin = self._constraint_owner(), self.known_twin
         meshes = []
         for b in range(len(self)):
             v, t = slice(vertex[b], vertex[b + 1]), slice(face[b], face[b + 1])
+            triangles = self.triangles[t] - vertex[b]
             meshes.append(
                 MeshBatch(
                     self.points[v],
-                    self.triangles[t] - vertex[b],
+                    triangles,
                     self.fixed[v],
                     self.constrained_edges[owner == b] - vertex[b],
                     self.point_offsets[b : b + 2] - vertex[b],
                     self.triangle_offsets[b : b + 2] - face[b],
                     self.frames[b : b + 1],
+                    None if twin is None else (triangles, _shifted(twin[3 * t.start : 3 * t.stop], -3 * t.start)),
                 )
             )
         return meshes
@@ -145,14 +173,17 @@ class MeshBatch:
         shift[keep] = offsets[:-1] - self.point_offsets[:-1][keep]
         owner = self._constraint_owner()
         constraints = keep[owner]
+        triangles = self.triangles.index_select(0, faces).add_(spread(shift[keep], triangle_offsets)[:, None])
+        twin = self.known_twin
         return MeshBatch(
             self.points.index_select(0, rows),
-            self.triangles.index_select(0, faces).add_(spread(shift[keep], triangle_offsets)[:, None]),
+            triangles,
             self.fixed.index_select(0, rows),
             (self.constrained_edges + shift[owner][:, None])[constraints],
             offsets,
             triangle_offsets,
             self.frames[keep],
+            None if twin is None else (triangles, _selected_twins(self, twin, keep)),
         )
 
     def _constraint_owner(self) -> Tensor:
@@ -174,53 +205,64 @@ def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
         return meshes[0]
     device = meshes[0].points.device
     shifts = offsets_from_counts(torch.tensor([len(m.points) for m in meshes], device=device)).tolist()
+    triangles = torch.cat([m.triangles + s for m, s in zip(meshes, shifts, strict=False)])
     return MeshBatch(
         torch.cat([m.points for m in meshes]),
-        torch.cat([m.triangles + s for m, s in zip(meshes, shifts, strict=False)]),
+        triangles,
         torch.cat([m.fixed for m in meshes]),
         torch.cat([m.constrained_edges + s for m, s in zip(meshes, shifts, strict=False)]),
         offsets_from_counts(torch.cat([counts_from_offsets(m.point_offsets) for m in meshes])),
         offsets_from_counts(torch.cat([counts_from_offsets(m.triangle_offsets) for m in meshes])),
         torch.cat([m.frames for m in meshes]),
+        None if any(m.known_twin is None for m in meshes) else (triangles, _joined_twins(meshes)),
     )
+
+
+def _joined_twins(meshes: Sequence[MeshBatch]) -> Tensor:
+    """The twins of the joined batch from those of its parts."""
+    starts = itertools.accumulate((3 * len(m.triangles) for m in meshes), initial=0)
+    return torch.cat([_shifted(m.twin, start) for m, start in zip(meshes, starts, strict=False)])
+
+
+def _shifted(twin: Tensor, by: Tensor | int) -> Tensor:
+    """Twins whose half-edges are renumbered; the boundary's -1 stays."""
+    return torch.where(twin < 0, -1, twin + by)
 
 
 def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
     """`batch` with the points and triangles of the meshes `at` (B,) bool replaced by those of `part`.
 
-    The inverse of `part = batch.select(at)` after the part's vertices moved or its edges flipped.
+    This is the inverse of `part = batch.select(at)` after the part's vertices moved or its edges flipped.
     """
     if len(part) == len(batch):
         return part
     shift = batch.point_offsets[:-1][at] - part.point_offsets[:-1]
     triangles = part.triangles + spread(shift, part.triangle_offsets)[:, None]
+    triangles = batch.triangles.index_copy(0, rows_of(at, batch.triangle_offsets), triangles)
+    twin = batch.known_twin
     return dataclasses.replace(
         batch,
         points=batch.points.index_copy(0, rows_of(at, batch.point_offsets), part.points),
-        triangles=batch.triangles.index_copy(0, rows_of(at, batch.triangle_offsets), triangles),
+        triangles=triangles,
+        _twin=None if twin is None else (triangles, _put_twins(batch, twin, at, part.twin)),
     )
 
 
-def select_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
+def _selected_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
     """The twins (3T',) of `batch.select(keep)` from those of `batch` (3T,)."""
-    if bool(keep.all()):
-        return twin
     offsets = 3 * batch.triangle_offsets
     counts = counts_from_offsets(offsets)
     shift = offsets[:-1] - offsets_from_counts(counts * keep)[:-1]
     part = twin.index_select(0, rows_of(keep, offsets))
-    return torch.where(part < 0, -1, part - shift[keep].repeat_interleave(counts[keep]))
+    return _shifted(part, -shift[keep].repeat_interleave(counts[keep]))
 
 
-def put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tensor:
-    """`twin` (3T,) of `batch` with those of the meshes `at` (B,) bool replaced by `part`, from `select_twins`."""
-    if len(part) == len(twin):
-        return part
+def _put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """`twin` (3T,) of `batch` with those of the meshes `at` (B,) bool replaced by `part`, numbered within it."""
     offsets = 3 * batch.triangle_offsets
     counts = counts_from_offsets(offsets)
     shift = offsets[:-1] - offsets_from_counts(counts * at)[:-1]
-    part = torch.where(part < 0, -1, part + shift[at].repeat_interleave(counts[at]))
-    return twin.index_copy(0, rows_of(at, offsets), part)
+    return twin.index_copy(0, rows_of(at, offsets), _shifted(part, shift[at].repeat_interleave(counts[at])))
 
 
 def lift(mesh: MeshBatch) -> Tensor:

@@ -18,13 +18,11 @@ def same_frame(
     after: MeshBatch,
     stays: Tensor,
     vertex_map: "VertexMap | None" = None,
-    old_twin: Tensor | None = None,
 ) -> Tensor:
     """(B,) bool: the same boundary edges and Euler number, every constrained edge there, `stays` (V,) unmoved.
 
     vertex_map  how the vertices of `after` answer to those of `before`; None: row by row.  A boundary or
                 constrained edge may then have been halved: the chain of its parts counts as the edge
-    old_twin    (3T,) twins of the half-edges of `before`, if the caller has them
     """
     same = torch.ones(len(before), dtype=torch.bool, device=before.points.device)
     if vertex_map is None:
@@ -41,8 +39,8 @@ def same_frame(
     if before.triangles is after.triangles:
         return same
     count = len(before.points)
-    old_twin = connectivity.twins(before.triangles) if old_twin is None else old_twin
-    twin = connectivity.twins(after.triangles)
+    # The twins of the result are computed anew: a certificate must not lean on what the stages handed on.
+    old_twin, twin = before.twin, connectivity.twins(after.triangles)
     old = connectivity.boundary_edges(before.triangles, old_twin)
     new = _whole(connectivity.boundary_edges(after.triangles, twin), old_row)
     keys = [rim[:, 0] * count + rim[:, 1] for rim in (old, new)]
