@@ -24,6 +24,7 @@ from scipy.spatial import Delaunay
 
 from torchmesh import FlipOptions, MeshBatch, flip_to_delaunay, join, quality
 from torchmesh.flipping import rounds as flipping
+from torchmesh.flipping import rules
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.neighbourhoods import constrained_half_edges
 
@@ -257,7 +258,7 @@ def test_a_pass_asks_no_more_about_an_edge_that_it_made(size, seed):
     def listening(q):
         ends = zip(q.ux.tolist(), q.uy.tolist(), q.wx.tolist(), q.wy.tolist(), strict=True)
         asked.update(frozenset((place[ux, uy], place[wx, wy])) for ux, uy, wx, wy in ends)
-        return flipping.kim_rule(q)
+        return rules.kim_rule(q)
 
     twin = connectivity.twins(mesh.triangles)
     locked = constrained_half_edges(mesh, twin)
@@ -359,7 +360,7 @@ def test_joined_equals_alone(rule):
 def test_the_rank_of_an_edge_has_the_same_bits_wherever_it_stands(rng):
     # Vectorised functions may round otherwise in the last, odd rows of a tensor.
     coordinates = torch.from_numpy(rng.uniform(-1, 1, (8, 203)))
-    for rule in (flipping.kim_rule, flipping.safe_rule, flipping.shape_rule):
+    for rule in (rules.kim_rule, rules.safe_rule, rules.shape_rule):
         rank = rule(flipping.Quads(*coordinates))[1]
         for start in (0, 1, 101, 202):
             part = rule(flipping.Quads(*coordinates[:, start:].contiguous()))[1]
@@ -371,7 +372,7 @@ def test_the_rank_of_an_edge_has_the_same_bits_wherever_it_stands(rng):
 def test_kim_ranks_by_the_sum_of_the_opposite_angles(rng):
     quads = rng.uniform(-1, 1, (300, 4, 2))
     total = [sum(sequential.opposite_angle(p, u, w) for p in (s, r)) for u, w, s, r in quads.tolist()]
-    _, rank = flipping.kim_rule(flipping.Quads(*torch.from_numpy(quads.reshape(300, 8).T.copy())))
+    _, rank = rules.kim_rule(rules.Quads(*torch.from_numpy(quads.reshape(300, 8).T.copy())))
     assert np.argsort(total).tolist() == rank.argsort().tolist()
 
 
