@@ -18,7 +18,7 @@ import torch
 from tangles import tangle
 
 import torchmesh as tm
-from torchmesh.untangling.retriangulation import untangle_batch_by_pockets
+from torchmesh.untangling.retriangulation import retriangulate_cavities
 
 MEMBERS = ("escalation", "kept first", "pockets first")
 CASES = [
@@ -44,7 +44,7 @@ def main() -> int:
             tm.improve(mesh, options)
             alone = time.process_time() - started
             started = time.process_time()
-            members = [mesh, tm.untangle(mesh)[0], untangle_batch_by_pockets(mesh)[0]]
+            members = [mesh, tm.untangle(mesh)[0], retriangulate_cavities(mesh)[0]]
             report = tm.improve(tm.join(members), options)[1]
             together = time.process_time() - started
             mean = report.quality.mean.tolist()

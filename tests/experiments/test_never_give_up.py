@@ -11,7 +11,7 @@ import torch
 from exact import inverted
 
 import torchmesh as tm
-from torchmesh.untangling.retriangulation import untangle_by_pockets
+from torchmesh.untangling.retriangulation import untangle_by_retriangulation
 
 FOLDER = Path(__file__).parents[2] / "experiments"
 
@@ -99,7 +99,7 @@ def test_pockets_alone_repair_random_domains(fuzz):
             continue
         keep = torch.rand(len(made[1].points), generator=torch.Generator().manual_seed(seed)) < 0.5
         for kept in (None, keep):
-            result = untangle_by_pockets(made[1], kept)
+            result = untangle_by_retriangulation(made[1], kept)
             assert result.ok, (seed, result.reason)
             assert inverted(result.mesh) == 0
 

@@ -6,7 +6,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh import join, relax
-from torchmesh.untangling.averaging import _GLANCE, _Averaging, unscramble
+from torchmesh.untangling.averaging import _GLANCE, _Averaging, average
 
 
 def inverted(mesh: tm.MeshBatch) -> int:
@@ -36,7 +36,7 @@ HOW = ["in one point", "outside", "shuffled", "mirrored", "jittered"]
 def test_a_scrambled_interior_comes_back_to_the_mean_of_its_neighbours(name, how):
     mesh = thrown(meshes.grid(70, 60) if name == "wide" else meshes.VALID[name](), how)
     assert inverted(mesh) > 0
-    found = unscramble(mesh)
+    found = average(mesh)
     assert inverted(found) == 0
     assert torch.equal(found.points[mesh.fixed], mesh.points[mesh.fixed])
     assert torch.equal(found.triangles, mesh.triangles)
@@ -61,14 +61,14 @@ def test_an_interior_that_followed_its_boundary_is_left_as_it_is_at_the_first_gl
     assert inverted(moved) > 20
     sweeps = []
     monkeypatch.setattr(_Averaging, "sweep", lambda self, sweep=_Averaging.sweep: sweeps.append(sweep(self)))
-    assert torch.equal(unscramble(moved).points, moved.points)
+    assert torch.equal(average(moved).points, moved.points)
     assert len(sweeps) == _GLANCE
 
 
 def test_where_no_mean_is_valid_the_better_of_both_comes_back():
     # A hole moved too far and an interior thrown about: averaging undoes the second, not the first.
     mesh = meshes.disturbed(meshes.moved_hole(), 2.0, 5)
-    found = unscramble(mesh)
+    found = average(mesh)
     assert 0 < inverted(found) < 0.5 * inverted(mesh)
 
 
@@ -76,23 +76,23 @@ def test_joined_equals_alone():
     parts = [thrown(meshes.VALID[name](), how) for name in meshes.VALID for how in HOW]
     parts += [meshes.moved_hole(), meshes.jittered(40, 30), thrown(meshes.grid(50, 50), "outside"), meshes.grid(1, 1)]
     parts += [meshes.disturbed(meshes.moved_hole(), 2.0, 5), meshes.jittered()]
-    for mesh, together in zip(parts, unscramble(join(parts)).split(), strict=True):
-        assert torch.equal(unscramble(mesh).points, together.points)
+    for mesh, together in zip(parts, average(join(parts)).split(), strict=True):
+        assert torch.equal(average(mesh).points, together.points)
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e150, 0.0), (1e-140, 0.0), (1.0, 1e8), (3.0, 0.0)])
 def test_unit_and_origin_do_not_matter(scale, offset):
     mesh = thrown(meshes.grid(), "shuffled")
-    found = unscramble(mesh.with_points(mesh.points * scale + offset))
+    found = average(mesh.with_points(mesh.points * scale + offset))
     assert inverted(found) == 0
     back = (found.points - offset) / scale
     # At 1e8 a double has eight digits left behind the point.
-    torch.testing.assert_close(back, unscramble(mesh).points, rtol=0, atol=1e-6 if offset else 1e-9)
+    torch.testing.assert_close(back, average(mesh).points, rtol=0, atol=1e-6 if offset else 1e-9)
 
 
 def test_single_precision_stays_so():
     mesh = thrown(meshes.grid().to(torch.float32), "in one point")
-    found = unscramble(mesh)
+    found = average(mesh)
     assert found.points.dtype == torch.float32
     assert inverted(found) == 0
 
@@ -101,7 +101,7 @@ def test_what_has_no_free_vertex_comes_back():
     mesh = meshes.grid(1, 1)
     assert bool(mesh.fixed.all())
     for batch in (mesh, join([mesh, mesh])):
-        assert torch.equal(unscramble(batch).points, batch.points)
+        assert torch.equal(average(batch).points, batch.points)
 
 
 def test_improve_tries_it_first():

@@ -9,8 +9,8 @@ from scipy.spatial import Delaunay
 
 from torchmesh.errors import InvalidMeshError
 from torchmesh.mesh.batch import MeshBatch, join
-from torchmesh.untangling import retriangulation as pockets
-from torchmesh.untangling.retriangulation import retriangulate, untangle_by_pockets, why_not_certified
+from torchmesh.untangling import retriangulation
+from torchmesh.untangling.retriangulation import retriangulate, untangle_by_retriangulation, why_not_certified
 
 HOW = ["kept", "shuffled", "outside", "one point", "on one boundary vertex", "on a line"]
 
@@ -120,7 +120,7 @@ def test_domain_with_holes(how, seed):
     rng = np.random.default_rng(seed)
     mesh = tangled(make(*perforated(rng)), how, rng)
     assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 @pytest.mark.parametrize("how", HOW)
@@ -128,7 +128,7 @@ def test_step_by_step_where_all_at_once_is_refused(how, monkeypatch):
     rng = np.random.default_rng(5)
     mesh = tangled(make(*perforated(rng)), how, rng)
     asked = []
-    monkeypatch.setattr(pockets, "triangulate_with", lambda *_: asked.append(True))
+    monkeypatch.setattr(retriangulation, "triangulate_with", lambda *_: asked.append(True))
     assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
     assert asked
 
@@ -151,7 +151,7 @@ def test_any_simple_polygon(seed, count, how):
     rim = simple_polygon(rng, count)
     mesh = tangled(make(*disc(rim, 2)), how, rng)
     assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def simple_polygon(rng, count):
@@ -203,7 +203,7 @@ def test_any_size_and_far_from_the_origin(scale, offset, how):
     points, triangles = perforated(rng, 150)
     mesh = tangled(make(points * scale + offset, triangles), how, rng)
     assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def test_single_precision():
@@ -237,7 +237,7 @@ def region_mesh():
 def test_interface_is_a_wall(how):
     points, triangles, inner, interface = region_mesh()
     mesh = tangled(make(points, triangles, constrained_edges=interface), how, np.random.default_rng(3))
-    for result in (retriangulate(mesh, whole(mesh)), untangle_by_pockets(mesh)):
+    for result in (retriangulate(mesh, whole(mesh)), untangle_by_retriangulation(mesh)):
         assert_repaired(mesh, result)
         assert set(result.mesh.triangles[inner].unique().tolist()) == set(np.unique(triangles[inner]).tolist())
 
@@ -255,7 +255,7 @@ def test_dangling_constrained_edges_survive(how):
     points, triangles, edges = dangling_mesh()
     mesh = tangled(make(points, triangles, constrained_edges=edges), how, np.random.default_rng(4))
     assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def test_long_constrained_edges_are_recovered_among_fixed_vertices():
@@ -274,7 +274,7 @@ def test_fixed_interior_vertices_stay_and_edges_between_them_cross_nothing():
     points, triangles = perforated(rng)
     mesh = make(points, triangles, fixed=rng.random(len(points)) < 0.3)
     mesh = tangled(mesh, "shuffled", rng)
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def test_what_cannot_be_done_is_said_and_nothing_changes():
@@ -286,7 +286,7 @@ def test_what_cannot_be_done_is_said_and_nothing_changes():
         fixed = np.zeros(49, bool)
         fixed[[index[3, 3], index[3, 4]]] = True
         mesh = make(moved, triangles, fixed=fixed)
-        for result in (retriangulate(mesh, whole(mesh)), untangle_by_pockets(mesh)):
+        for result in (retriangulate(mesh, whole(mesh)), untangle_by_retriangulation(mesh)):
             assert not result.ok
             assert f"vertex {index[3, 3]} lies" in result.reason or f"vertex {index[3, 4]} lies" in result.reason
             assert torch.equal(result.mesh.points, mesh.points)
@@ -300,12 +300,12 @@ def test_what_cannot_be_done_is_said_and_nothing_changes():
     bent = points.copy()
     bent[index[3, 0]] = [0.5, 1.5]
     mesh = make(bent, triangles)
-    result = untangle_by_pockets(mesh)
+    result = untangle_by_retriangulation(mesh)
     assert not result.ok
     assert str(index[3, 0]) in result.reason
 
 
-def test_pockets_are_small_and_leave_the_rest_alone():
+def test_cavities_are_small_and_leave_the_rest_alone():
     points, triangles = grid(40, 40)
     index = np.arange(41 * 41).reshape(41, 41)
     swapped = points.copy()
@@ -313,7 +313,7 @@ def test_pockets_are_small_and_leave_the_rest_alone():
         pair = index[i, j], index[i + 1, j + 1]
         swapped[list(pair)] = points[list(pair[::-1])]
     mesh = make(swapped, triangles)
-    result = untangle_by_pockets(mesh)
+    result = untangle_by_retriangulation(mesh)
     assert_repaired(mesh, result)
     assert 0 < int(result.rewritten.sum()) < 250
 
@@ -326,7 +326,7 @@ def test_a_fold_of_a_whole_strip_is_repaired():
         [0.4 * np.sin(np.pi * points[:, 0]) * np.sin(3 * np.pi * points[:, 1]), points[:, 1] * 0], 1
     )
     mesh = mesh.with_points(torch.where(mesh.fixed[:, None], mesh.points, torch.from_numpy(2 * moved - points)))
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def test_several_pieces_one_upon_the_other():
@@ -335,12 +335,12 @@ def test_several_pieces_one_upon_the_other():
     mesh = make(both, np.concatenate([triangles, triangles + len(points)]))
     mesh = tangled(mesh, "shuffled", np.random.default_rng(7))
     assert_repaired(mesh, retriangulate(mesh, whole(mesh)))
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def test_a_valid_mesh_is_returned_as_it_is():
     mesh = make(*grid(5, 5))
-    result = untangle_by_pockets(mesh)
+    result = untangle_by_retriangulation(mesh)
     assert_repaired(mesh, result)
     assert not bool(result.rewritten.any())
     assert not bool(result.moved.any())
@@ -370,11 +370,11 @@ def test_spread_vertices_make_good_triangles():
 
 def test_retriangulating_part_of_a_mesh_changes_only_that():
     mesh = make(*grid(12, 12))
-    pocket = torch.from_numpy((mesh.points[mesh.triangles].mean(1) < 0.4).all(1).numpy())
+    cavity = torch.from_numpy((mesh.points[mesh.triangles].mean(1) < 0.4).all(1).numpy())
     mesh = tangled(mesh, "kept", np.random.default_rng(0))
-    result = retriangulate(mesh, pocket)
+    result = retriangulate(mesh, cavity)
     assert_repaired(mesh, result)
-    assert torch.equal(result.rewritten, pocket)
+    assert torch.equal(result.rewritten, cavity)
 
 
 def test_certificate_notices_every_kind_of_damage():
@@ -401,21 +401,21 @@ def test_certificate_notices_every_kind_of_damage():
     assert "4 vertices are in 3 triangles" in why_not_certified(before, after, whole(after))
 
 
-def test_edges_that_exist_outside_the_pocket_are_not_made_twice():
-    """A vertex of three triangles lies outside the triangle around it, whose edge [0, 2] the pocket would choose."""
+def test_edges_that_exist_outside_the_cavity_are_not_made_twice():
+    """A vertex of three triangles lies outside the triangle around it, whose edge [0, 2] the cavity would choose."""
     points = np.array([[0.0, -0.3], [2.0, 0.0], [0.0, 0.3], [-1.0, 0.0]])
     mesh = make(points, np.array([[3, 0, 1], [3, 1, 2], [3, 2, 0]]))
     result = retriangulate(mesh, torch.tensor([True, True, False]))
     assert not result.ok
     assert "exists outside" in result.reason
-    assert_repaired(mesh, untangle_by_pockets(mesh))
+    assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
 def test_one_mesh_and_masks_of_its_size_are_asked_for():
     mesh = make(*grid(2, 2))
     with pytest.raises(InvalidMeshError, match="one mesh at a time"):
-        untangle_by_pockets(join([mesh, mesh]))
-    with pytest.raises(InvalidMeshError, match="pocket must be"):
+        untangle_by_retriangulation(join([mesh, mesh]))
+    with pytest.raises(InvalidMeshError, match="cavity must be"):
         retriangulate(mesh, torch.ones(3, dtype=torch.bool))
     with pytest.raises(InvalidMeshError, match="keep must be"):
         retriangulate(mesh, whole(mesh), keep=torch.ones(3, dtype=torch.bool))
@@ -425,13 +425,13 @@ def test_input_is_not_changed():
     mesh = tangled(make(*grid(6, 6)), "one point", np.random.default_rng(0))
     points, triangles = mesh.points.clone(), mesh.triangles.clone()
     retriangulate(mesh, whole(mesh))
-    untangle_by_pockets(mesh)
+    untangle_by_retriangulation(mesh)
     assert torch.equal(mesh.points, points)
     assert torch.equal(mesh.triangles, triangles)
 
 
 def test_same_answer_every_time():
     mesh = tangled(make(*perforated(np.random.default_rng(1))), "shuffled", np.random.default_rng(2))
-    one, two = (pockets.untangle_by_pockets(mesh).mesh for _ in range(2))
+    one, two = (untangle_by_retriangulation(mesh).mesh for _ in range(2))
     assert torch.equal(one.triangles, two.triangles)
     assert torch.equal(one.points, two.points)

@@ -64,7 +64,7 @@ class Problem:
 def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most: int = 20) -> list[Problem]:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
-    topology  "flip": whatever the triangles.  No problem found means that `untangle_by_pockets` can
+    topology  "flip": whatever the triangles.  No problem found means that `untangle_by_retriangulation` can
               repair the mesh, rounding permitting, but for pockets with a slit in them.  "keep": with the
               triangles as they are, also the obstructions that moving free vertices cannot mend.  They are
               not all there are: a mesh without a problem may still have no valid places

@@ -72,7 +72,7 @@ def _improve_in_shards(
     import shapely  # noqa: F401
 
     from ..remeshing import condensation as gathering  # noqa: F401
-    from ..untangling import retriangulation as pockets  # noqa: F401
+    from ..untangling import retriangulation  # noqa: F401
 
     place = torch.arange(len(batch), device=batch.points.device)
 

@@ -27,7 +27,7 @@ from ..remeshing.sizing import SizeConformity, size_conformity, size_field
 from ..smoothing.polishing import bad_triangles, polish
 from ..smoothing.smoothing import SmoothOptions, smooth
 from ..status import Status
-from ..untangling.averaging import unscramble
+from ..untangling.averaging import average
 from ..untangling.options import UntangleOptions
 from ..untangling.untangling import untangle
 from ..warping.femwarp import femwarp
@@ -162,7 +162,7 @@ class Job:
             self._try(
                 "femwarp", self.given, lambda part: (femwarp(replace(known, fixed=part.fixed), part.points), None)
             )
-        self._try("relax", self.given, lambda part: (unscramble(part), None))
+        self._try("relax", self.given, lambda part: (average(part), None))
         relaxed = self.batch
         if may_flip:
             best, since = self.quality.inverted, torch.zeros_like(self.quality.inverted)
@@ -173,9 +173,9 @@ class Job:
                 since = torch.where(self.quality.inverted <= 0.75 * best, 0, since + 1)
                 best = torch.minimum(best, self.quality.inverted)
             if bool(self.tangled.any()):
-                from ..untangling.retriangulation import untangle_batch_by_pockets
+                from ..untangling.retriangulation import retriangulate_cavities
 
-                self._try("pockets", self.batch, untangle_batch_by_pockets)
+                self._try("pockets", self.batch, retriangulate_cavities)
         self._regularised(self.given, UntangleOptions())
         elsewhere = segment_any((relaxed.points != self.given.points).any(1), self.given.point_offsets)
         self._regularised(relaxed, UntangleOptions(size_sweeps=(100,)), elsewhere)
@@ -384,7 +384,7 @@ class Job:
             self.obstacles.update(zip(at.nonzero().squeeze(1).tolist(), getattr(info, "reasons", ()), strict=False))
             now = self.batch.select(at)
             part = put(now, better, part.select(better)) if bool(better.any()) else now
-            iterations, pockets = (getattr(info, name, None) for name in ("iterations", "pockets"))
+            iterations, pockets = (getattr(info, name, None) for name in ("iterations", "cavities"))
             done(part, iterations=iterations, pockets=pockets, kept=better)
 
     def _regularised(self, origin: MeshBatch, options: UntangleOptions, among: Tensor | None = None) -> None:

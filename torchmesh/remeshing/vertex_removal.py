@@ -22,7 +22,7 @@ from ..mesh.batch import put
 from ..mesh.measure import quality
 from ..mesh.predicates import orientation
 from ..mesh.ragged import spread
-from ..untangling.retriangulation import untangle_batch_by_pockets
+from ..untangling.retriangulation import retriangulate_cavities
 from .collapses import collapse
 from .mutable import Editable, independent, living, neighbours
 from .remeshing import Remeshing, editable, rebuilt
@@ -50,12 +50,12 @@ def untangle_by_surgery(work: Remeshing, at: Tensor) -> Tensor:
             fields.append(e.metric[living(e)])
         work.exchange(going, part, fields)
         work.collapses[going] += taken
-        mended, info = untangle_batch_by_pockets(part)
+        mended, info = retriangulate_cavities(part)
         left = quality(mended).inverted
         better = left < quality(part).inverted
         if bool(better.any()):
             work.batch = put(work.batch, going, put(part, better, mended.select(better)))
-        pockets[going] += torch.where(better, info.pockets, 0)
+        pockets[going] += torch.where(better, info.cavities, 0)
         still = going.clone()
         still[going] = (taken > 0) & (left > 0)
         going, rounds = still, 2 * rounds

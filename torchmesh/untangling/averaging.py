@@ -31,7 +31,7 @@ _GAIN, _ACROSS = 0.2, 32
 _RESIDUAL = 1e-3
 
 
-def unscramble(batch: MeshBatch) -> MeshBatch:
+def average(batch: MeshBatch) -> MeshBatch:
     """Free vertices on their way to the mean of their neighbours, as `relax` has them, where that untangles.
 
     Conjugate gradients with the valences as preconditioner, each mesh by itself, until it is valid and nearly at

@@ -1,8 +1,8 @@
-"""The last resort with a guarantee: forget the triangles of a tangled pocket and make them anew.
+"""The last resort with a guarantee: forget the triangles of a tangled cavity and make them anew.
 
-Inside a simple boundary a valid triangulation with the same vertices always exists.  A pocket's rim
+Inside a simple boundary a valid triangulation with the same vertices always exists.  A cavity's rim
 is triangulated without its interior vertices; these go back in, where they were if they were
-inside, else where there is room.  Euler's formula gives back the pocket's number of triangles, so
+inside, else where there is room.  Euler's formula gives back the cavity's number of triangles, so
 the new ones take the old rows.  Every sign is exact; the result is checked as a whole.
 """
 
@@ -28,20 +28,20 @@ from ..triangulating.polygon import (
 )
 from ..triangulating.triangulation import Triangulation
 
-# Of free vertices nearer to each other than this part of the pocket's mean spacing only one stays.
+# Of free vertices nearer to each other than this part of the cavity's mean spacing only one stays.
 _CLUSTER = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Retriangulation:
-    """What became of the pockets of one mesh.
+    """What became of the cavities of one mesh.
 
     mesh       the mesh with new triangles and places, same vertices and rows
     ok         whether everything asked for is now valid, checked exactly
     reason     why not, with vertex numbers; "" when ok
     moved      (V,) bool, vertices that are in another place
     rewritten  (T,) bool, rows of triangles that were made anew
-    pockets    how many pieces were made anew
+    cavities    how many pieces were made anew
     """
 
     mesh: MeshBatch
@@ -49,27 +49,27 @@ class Retriangulation:
     reason: str
     moved: Tensor
     rewritten: Tensor
-    pockets: int = 0
+    cavities: int = 0
 
 
-def retriangulate(mesh: MeshBatch, pocket: Tensor, keep: Tensor | None = None) -> Retriangulation:
-    """Make the triangles of `pocket` (T,) bool anew, wherever their interior vertices are now.
+def retriangulate(mesh: MeshBatch, cavity: Tensor, keep: Tensor | None = None) -> Retriangulation:
+    """Make the triangles of `cavity` (T,) bool anew, wherever their interior vertices are now.
 
-    A constrained edge is an inner wall: each piece of the pocket that it closes off is made alone.
+    A constrained edge is an inner wall: each piece of the cavity that it closes off is made alone.
     keep (V,) bool, default all: the free vertices that stay in place if they can; the others are
-    spread over the pocket, by area over the squared length of the rim's edges nearby.
+    spread over the cavity, by area over the squared length of the rim's edges nearby.
 
-    Fixed vertices, constrained edges, the boundary and the triangles outside the pocket stay.
+    Fixed vertices, constrained edges, the boundary and the triangles outside the cavity stay.
     `ok` is False, and the mesh unchanged, when a piece's rim is not a simple polygon, a fixed
     vertex lies outside its piece or on another, or a constrained edge crosses an edge that stays.
     Raises InvalidMeshError for a batch of several meshes or a mask of the wrong shape.
     """
     triangles = _triangles_of_one(mesh)
-    pocket = torch.as_tensor(pocket)
-    if pocket.shape != (len(triangles),) or pocket.dtype != torch.bool:
-        raise InvalidMeshError(f"pocket must be ({len(triangles)},) bool, not {tuple(pocket.shape)} {pocket.dtype}")
+    cavity = torch.as_tensor(cavity)
+    if cavity.shape != (len(triangles),) or cavity.dtype != torch.bool:
+        raise InvalidMeshError(f"cavity must be ({len(triangles)},) bool, not {tuple(cavity.shape)} {cavity.dtype}")
     work = _Work(mesh, keep)
-    for rows, outer in work.pieces(pocket.cpu().numpy()):
+    for rows, outer in work.pieces(cavity.cpu().numpy()):
         reason = work.rebuild(rows, outer)
         if reason:
             return _unchanged(mesh, reason)
@@ -78,12 +78,12 @@ def retriangulate(mesh: MeshBatch, pocket: Tensor, keep: Tensor | None = None) -
     return _unchanged(mesh, reason) if reason else result
 
 
-def untangle_by_pockets(mesh: MeshBatch, keep: Tensor | None = None) -> Retriangulation:
-    """Make anew the smallest pockets that leave no inverted or flat triangle in the mesh.
+def untangle_by_retriangulation(mesh: MeshBatch, keep: Tensor | None = None) -> Retriangulation:
+    """Make anew the smallest cavities that leave no inverted or flat triangle in the mesh.
 
-    Each pocket starts as the bad triangles and the ring around them, and grows ring by ring until
+    Each cavity starts as the bad triangles and the ring around them, and grows ring by ring until
     its rim is a simple polygon that holds its fixed vertices; at last it is all that the boundary
-    and the constrained edges close off.  `keep` as in `retriangulate`.  With `ok` False the pockets
+    and the constrained edges close off.  `keep` as in `retriangulate`.  With `ok` False the cavities
     that could be repaired are, and `reason` says what stopped the others.
     Raises InvalidMeshError for a batch of several meshes.
     """
@@ -100,19 +100,19 @@ def untangle_by_pockets(mesh: MeshBatch, keep: Tensor | None = None) -> Retriang
 
 
 @dataclass(frozen=True, eq=False)
-class PocketsInfo:
-    """What `untangle_batch_by_pockets` did.
+class RetriangulationInfo:
+    """What `retriangulate_cavities` did.
 
-    pockets  (B,) int64 pieces made anew in each mesh
+    cavities  (B,) int64 pieces made anew in each mesh
     reasons  for each mesh what stopped the others, "" where nothing did
     """
 
-    pockets: Tensor
+    cavities: Tensor
     reasons: list[str]
 
 
-def untangle_batch_by_pockets(batch: MeshBatch) -> tuple[MeshBatch, PocketsInfo]:
-    """`untangle_by_pockets` on each mesh of a batch, as far as it goes, without the last look at the whole."""
+def retriangulate_cavities(batch: MeshBatch) -> tuple[MeshBatch, RetriangulationInfo]:
+    """`untangle_by_retriangulation` on each mesh of a batch, as far as it goes, without the last look at the whole."""
     region, face = _regions(batch), batch.triangle_offsets.tolist()
     meshes, made, reasons = [], [], []
     for b, mesh in enumerate(batch.split()):
@@ -120,8 +120,8 @@ def untangle_batch_by_pockets(batch: MeshBatch) -> tuple[MeshBatch, PocketsInfo]
         # Regions are numbered by their first triangles, so those of a mesh follow each other.
         reasons.append("; ".join(work.untangle(region[face[b] : face[b + 1]] - region[face[b]])))
         meshes.append(work.result(mesh).mesh)
-        made.append(work.pockets)
-    return join(meshes), PocketsInfo(torch.tensor(made, dtype=torch.int64, device=batch.points.device), reasons)
+        made.append(work.cavities)
+    return join(meshes), RetriangulationInfo(torch.tensor(made, dtype=torch.int64, device=batch.points.device), reasons)
 
 
 def _regions(batch: MeshBatch) -> np.ndarray:
@@ -171,7 +171,7 @@ def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
 
 
 class _Work:
-    """One mesh's arrays while its pockets are made anew; points in units of a power of two near its size."""
+    """One mesh's arrays while its cavities are re-triangulated; points in units of a power of two near its size."""
 
     def __init__(self, mesh: MeshBatch, keep: Tensor | None) -> None:
         self.dtype = _numpy(mesh.points).dtype
@@ -186,16 +186,16 @@ class _Work:
         self.walls = np.sort(self._keys(*_numpy(mesh.constrained_edges).T))
         self.moved = np.zeros(len(original), bool)
         self.rewritten = np.zeros(len(self.triangles), bool)
-        self.pockets = 0
+        self.cavities = 0
 
     def untangle(self, region: np.ndarray) -> list[str]:
-        """Make anew the smallest pockets that will do; what stopped the others.  region (T,) as from `_regions`."""
+        """Make anew the smallest cavities that will do; what stopped the others.  region (T,) as from `_regions`."""
         size = np.bincount(region)
         wanted = signs(self.points, *self.triangles.T) <= 0
         reasons = []
         attempt = 0
         while wanted.any():
-            # Rings get dearer with their number; a pocket slightly too large does no harm.
+            # Rings get dearer with their number; a cavity slightly too large does no harm.
             for _ in range(1 + attempt // 3):
                 wanted = _with_ring(self.triangles, region, wanted)
             for rows, outer in sorted(self.pieces(wanted), key=lambda piece: len(piece[0])):
@@ -207,12 +207,12 @@ class _Work:
             attempt += 1
         return reasons
 
-    def pieces(self, pocket: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The parts of `pocket` (T,) bool that are joined by edges and cross no constrained one.
+    def pieces(self, cavity: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The parts of `cavity` (T,) bool that are joined by edges and cross no constrained one.
 
         Of each its rows (N,), and which of their half-edges (3N,) bool have no other of the part beyond.
         """
-        rows = np.flatnonzero(pocket)
+        rows = np.flatnonzero(cavity)
         triangles = torch.from_numpy(self.triangles[rows])
         ends = triangles.numpy()
         wall = among(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
@@ -252,12 +252,12 @@ class _Work:
         chords = chords[~among(chords, self._keys(*vertices[ends[outer]].T))]
         taken = chords[among(chords, self._keys_outside(rows, vertices[on_rim]))] if len(chords) else chords
         if len(taken):
-            return f"the edge {divmod(int(taken[0]), len(self.points))} exists outside the pocket already"
+            return f"the edge {divmod(int(taken[0]), len(self.points))} exists outside the cavity already"
         self.triangles[rows] = vertices[corners]
         self.points[vertices[moved]] = points[moved]
         self.moved[vertices[moved]] = True
         self.rewritten[rows] = True
-        self.pockets += 1
+        self.cavities += 1
         return ""
 
     def result(self, mesh: MeshBatch) -> Retriangulation:
@@ -269,7 +269,7 @@ class _Work:
         triangles = torch.from_numpy(self.triangles).to(device)
         rewritten = torch.from_numpy(self.rewritten).to(device)
         return Retriangulation(
-            mesh.with_points(points).with_triangles(triangles), True, "", moved, rewritten, self.pockets
+            mesh.with_points(points).with_triangles(triangles), True, "", moved, rewritten, self.cavities
         )
 
     def _keys(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -397,7 +397,7 @@ def _numpy(tensor: Tensor) -> np.ndarray:
 
 def _triangles_of_one(mesh: MeshBatch) -> Tensor:
     if len(mesh) != 1:
-        raise InvalidMeshError(f"pockets are made anew in one mesh at a time, not {len(mesh)}; use .split()")
+        raise InvalidMeshError(f"cavities are re-triangulated in one mesh at a time, not {len(mesh)}; use .split()")
     return mesh.triangles
 
 
