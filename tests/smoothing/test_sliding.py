@@ -14,7 +14,7 @@ from torchmesh.mesh.triangle import corners, signed_area
 from torchmesh.optimising.energies import InverseMeanRatio, equilateral
 from torchmesh.optimising.objective import MeshObjective, pack
 from torchmesh.smoothing import sliding
-from torchmesh.smoothing.sliding import Slide, rails_of
+from torchmesh.smoothing.sliding import Slide, curves_of
 from torchmesh.triangulating.polygon import crossing_pairs
 
 SLIDE = SmoothOptions(boundary="slide")
@@ -142,11 +142,11 @@ def test_on_a_circle_vertices_stay_close_to_it_and_spread():
 @pytest.mark.parametrize("name", list(UNEVEN))
 def test_order_along_the_curves_is_kept_and_corners_are_where_they_were(name):
     mesh = UNEVEN[name]()
-    rails = rails_of(mesh)
+    curves = curves_of(mesh)
     slid, info = smooth(mesh, SLIDE)
-    step = info.rails.parameter[rails.after] - info.rails.parameter
-    assert bool((step > 0)[torch.arange(len(step)) != rails.last].all())
-    may = rails.may_slide(mesh.point_offsets)
+    step = info.curves.parameter[curves.after] - info.curves.parameter
+    assert bool((step > 0)[torch.arange(len(step)) != curves.last].all())
+    may = curves.may_slide(mesh.point_offsets)
     stays = mesh.fixed & ~may
     assert torch.equal(slid.points[stays], mesh.points[stays])
     assert bool((slid.points != mesh.points).any(1)[may].any())
@@ -155,14 +155,14 @@ def test_order_along_the_curves_is_kept_and_corners_are_where_they_were(name):
 @pytest.mark.parametrize("name", ["rectangle", "round interface", "ring"])
 def test_gradients_are_those_of_finite_differences(name):
     mesh = UNEVEN[name]()
-    rails = rails_of(mesh)
-    free = ~mesh.fixed | rails.may_slide(mesh.point_offsets)
+    curves = curves_of(mesh)
+    free = ~mesh.fixed | curves.may_slide(mesh.point_offsets)
     packing = pack(mesh.points, mesh.triangles, free, mesh.point_offsets, mesh.triangle_offsets)
     inner = MeshObjective(
         InverseMeanRatio(), equilateral(), packing.rows, packing.anchored, packing.block_offsets,
         packing.triangle_offsets, packing.spread_vertices(torch.ones(len(mesh.points))),
     )  # fmt: skip
-    objective, start = Slide(mesh, rails, packing).start(inner)
+    objective, start = Slide(mesh, curves, packing).start(inner)
     start[objective.x_rows] += 1e-3  # off the knots, where the second derivative jumps
     gradient = objective(start)[1]
     step = 1e-6
@@ -186,7 +186,7 @@ def test_a_second_smoothing_goes_on_along_the_same_curves():
     few = dataclasses.replace(SLIDE, max_iterations=8)
     first, info = smooth(mesh, few)
     for _ in range(20):
-        first, info = smooth(first, few, rails=info.rails)
+        first, info = smooth(first, few, curves=info.curves)
     whole, _ = smooth(mesh, dataclasses.replace(SLIDE, energy_tolerance=0, max_iterations=500))
     assert quality(first).mean.item() == pytest.approx(quality(whole).mean.item(), rel=1e-4)
     # Twenty-one times back to the area: the circle is where one run leaves it.
@@ -200,7 +200,7 @@ def test_nothing_slides_where_nothing_moves():
     assert torch.equal(slid.points, mesh.points)
     still, info = smooth(rectangle(), dataclasses.replace(SLIDE, max_iterations=0))
     assert torch.equal(still.points, rectangle().points)
-    assert torch.equal(info.rails.parameter, rails_of(rectangle()).parameter)
+    assert torch.equal(info.curves.parameter, curves_of(rectangle()).parameter)
 
 
 @pytest.mark.parametrize("name", list(meshes.TANGLED))
@@ -318,7 +318,7 @@ def test_improve_slides_flips_and_certifies(name, topology):
     if topology == "flip":
         assert (sum(step.flips for step in report.steps[0]) > 0) or name == "interface"
         assert region_areas(better) == pytest.approx([abs(a) for a in region_areas(held)], rel=1e-13)
-    stays = mesh.fixed & ~rails_of(mesh).may_slide(mesh.point_offsets)
+    stays = mesh.fixed & ~curves_of(mesh).may_slide(mesh.point_offsets)
     assert torch.equal(better.points[stays], mesh.points[stays])
 
 
@@ -337,23 +337,23 @@ def test_vertices_slide_on_after_remeshing(name):
     moved = {frozenset(new_row[torch.tensor(e)].tolist()) for e in network(mesh).tolist()}
     assert {frozenset(e) for e in network(better).tolist()} == moved
     # Corners stay; sliding vertices are where the same curve has them, or as near as its area allows.
-    stays = mesh.fixed & ~rails_of(mesh).may_slide(mesh.point_offsets)
+    stays = mesh.fixed & ~curves_of(mesh).may_slide(mesh.point_offsets)
     assert torch.equal(better.points[new_row[stays]], mesh.points[stays])
     slid = (better.points[new_row[mesh.fixed]] != mesh.points[mesh.fixed]).any()
-    assert bool(slid) == bool(rails_of(mesh).slides.any())
+    assert bool(slid) == bool(curves_of(mesh).slides.any())
 
 
-def test_rails_follow_their_vertices_to_other_rows():
+def test_curves_follow_their_vertices_to_other_rows():
     batch = join([rectangle(), polar()])
-    rails = rails_of(batch)
+    curves = curves_of(batch)
     # A vertex more in front of each mesh.
     owner = torch.bucketize(torch.arange(len(batch.points)), batch.point_offsets[1:], right=True)
     new_row = torch.arange(len(batch.points)) + owner + 1
     after = batch.point_offsets + torch.arange(3)
-    moved = rails.renumbered(new_row, batch.point_offsets, after)
-    assert torch.equal(moved.rows(after), new_row[rails.rows(batch.point_offsets)])
-    assert torch.equal(moved.vertex, rails.vertex + 1)
-    assert torch.equal(moved.parameter, rails.parameter)
+    moved = curves.renumbered(new_row, batch.point_offsets, after)
+    assert torch.equal(moved.rows(after), new_row[curves.rows(batch.point_offsets)])
+    assert torch.equal(moved.vertex, curves.vertex + 1)
+    assert torch.equal(moved.parameter, curves.parameter)
 
 
 def test_full_with_sliding_in_a_batch_is_full_alone():

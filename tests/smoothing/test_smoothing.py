@@ -268,9 +268,9 @@ def test_joined_equals_alone_to_the_bit_and_tangled_neighbours_do_not_matter():
         for b, (mesh, together) in enumerate(zip(parts, batch.split(), strict=True)):
             alone, its = smooth(mesh, options)
             assert torch.equal(alone.points, together.points)
-            assert info.rails is its.rails is None
+            assert info.curves is its.curves is None
             for field in dataclasses.fields(info):
-                if field.name != "rails":
+                if field.name != "curves":
                     assert torch.equal(getattr(info, field.name)[b : b + 1], getattr(its, field.name)), field.name
 
 

@@ -36,7 +36,7 @@ from .report import Progress, Report, Step, left_over
 
 # What few meshes come to is loaded where one does: relocation, remeshing, sliding, pockets.
 if TYPE_CHECKING:
-    from ..mesh.curves import Rails
+    from ..mesh.curves import BoundaryCurves
     from ..remeshing.remeshing import RemeshInfo
 
 # Rounds of flips between two goes of untangling: the first flips do most, the last ones have tangles
@@ -84,13 +84,13 @@ class Job:
         if options.topology != "keep":
             # Computed once: selections, flips and `put` hand them on.
             batch.twin  # noqa: B018
-        self.rails: Rails | None = None
+        self.curves: BoundaryCurves | None = None
         if options.slides:
-            from ..smoothing.sliding import rails_of
+            from ..smoothing.sliding import curves_of
 
-            self.rails = rails_of(batch, options.smooth.corner_angle, hold)
+            self.curves = curves_of(batch, options.smooth.corner_angle, hold)
         # (V,) bool: the fixed vertices that do not slide either.
-        self.stays = batch.fixed if self.rails is None else batch.fixed & ~self.rails.may_slide(batch.point_offsets)
+        self.stays = batch.fixed if self.curves is None else batch.fixed & ~self.curves.may_slide(batch.point_offsets)
         self.options, self.progress, self.observe = options, progress, observe
         self.targets = as_targets(options.smooth.targets)
         self.quality = quality(batch)
@@ -274,9 +274,9 @@ class Job:
                 done(work.batch, flips=work.flips[at])
             if work.metric is not None:
                 self.targets = MetricField(work.metric)
-            if self.rails is not None:
+            if self.curves is not None:
                 new_row = work.names.vertex_map().old_to_new
-                self.rails = self.rails.renumbered(new_row, self.given.point_offsets, self.batch.point_offsets)
+                self.curves = self.curves.renumbered(new_row, self.given.point_offsets, self.batch.point_offsets)
                 self._smooth("smooth", at, self.options.smooth)
                 self._flip("flip", at, FlipOptions(rule="shape"))
                 self._smooth("smooth", at, self.options.smooth)
@@ -363,12 +363,12 @@ class Job:
         if bool(at.any()):
             with self._stage(stage, at) as done:
                 part = self.batch.select(at)
-                free = None if near is None or self.rails is not None else near[spread(at, self.batch.point_offsets)]
+                free = None if near is None or self.curves is not None else near[spread(at, self.batch.point_offsets)]
                 options = replace(options, targets=narrow(self.targets, self.batch, at))
-                rails = None if self.rails is None else self.rails.select(at)
-                part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at), rails=rails)
-                if self.rails is not None and info.rails is not None:
-                    self.rails = self.rails.put(at, info.rails)
+                curves = None if self.curves is None else self.curves.select(at)
+                part, info = smooth(part, options, free=free, monitor=self._monitor(stage, at), curves=curves)
+                if self.curves is not None and info.curves is not None:
+                    self.curves = self.curves.put(at, info.curves)
                 done(part, iterations=info.iterations)
 
     def _try(

@@ -1,6 +1,6 @@
 """The curves that vertices may slide along: chains of boundary and constrained edges between corners.
 
-    corner o---o---o---o---o corner         knots: where the vertices stood when the rails were laid
+    corner o---o---o---o---o corner         knots: where the vertices stood when the curves were fitted
             0   1   2   3   4               stations: the vertices in order, at parameters along the curve
 
 Between two knots the curve is a straight line where the chain is straight, else the cubic whose
@@ -26,7 +26,7 @@ _HEIGHT_FACTOR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Rails:
+class BoundaryCurves:
     """K stations on C chains, each mesh's and each chain's contiguous.
 
     vertex         (K,) int64 row within its mesh
@@ -162,31 +162,31 @@ class Rails:
         shifted = places + spread(width, chains)[:, None] * normal
         return shifted, self.area(self.knots) - self.area(shifted)
 
-    def packed(self, centre: Tensor, unit: Tensor) -> "Rails":
-        """The same rails in coordinates counted from `centre` (B, 2) in lengths of `unit` (B,)."""
+    def packed(self, centre: Tensor, unit: Tensor) -> "BoundaryCurves":
+        """The same curves in coordinates counted from `centre` (B, 2) in lengths of `unit` (B,)."""
         c, w = spread(centre, self.offsets), spread(unit, self.offsets)
         lengths = {name: getattr(self, name) / w for name in ("period", "place", "height", "parameter")}
         return replace(self, knots=(self.knots - c) / w[:, None], **lengths)
 
-    def renumbered(self, new_row: Tensor, before: Tensor, after: Tensor) -> "Rails":
-        """The same rails and stations where the batch's vertices have other rows.
+    def renumbered(self, new_row: Tensor, before: Tensor, after: Tensor) -> "BoundaryCurves":
+        """The same curves and stations where the batch's vertices have other rows.
 
         new_row        (V_old,) int64 the row that each vertex has now
         before, after  (B+1,) the point offsets of then and now
         """
         return replace(self, vertex=new_row[self.rows(before)] - spread(after[:-1], self.offsets))
 
-    def select(self, keep: Tensor) -> "Rails":
-        """The rails of the meshes whose keep (B,) is true."""
+    def select(self, keep: Tensor) -> "BoundaryCurves":
+        """The curves of the meshes whose keep (B,) is true."""
         kept = spread(keep, self.offsets)
         shift = kept.to(torch.int64).cumsum(0) - 1
         changes = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name != "offsets"}
         for name in ("after", "before", "first", "last"):
             changes[name] = shift[changes[name]]
-        return Rails(**changes, offsets=offsets_from_counts(counts_from_offsets(self.offsets)[keep]))
+        return BoundaryCurves(**changes, offsets=offsets_from_counts(counts_from_offsets(self.offsets)[keep]))
 
-    def put(self, at: Tensor, part: "Rails") -> "Rails":
-        """These rails with the stations of the meshes `at` (B,) bool where they are on `part`."""
+    def put(self, at: Tensor, part: "BoundaryCurves") -> "BoundaryCurves":
+        """These curves with the stations of the meshes `at` (B,) bool where they are on `part`."""
         parameter = self.parameter.clone()
         parameter[spread(at, self.offsets)] = part.parameter
         return replace(self, parameter=parameter)
@@ -220,8 +220,10 @@ class Rails:
         return low
 
 
-def lay_rails(points: Tensor, edges: Tensor, may_slide: Tensor, corner_angle: float, point_offsets: Tensor) -> Rails:
-    """Lay rails along the `edges` (E, 2) on which vertices slide, and the vertices on them as they are.
+def fit_curves(
+    points: Tensor, edges: Tensor, may_slide: Tensor, corner_angle: float, point_offsets: Tensor
+) -> BoundaryCurves:
+    """Curves along the `edges` (E, 2) on which vertices slide, with the vertices on them as they are now.
 
     points         (V, 2) float64
     edges          (E, 2) int64 boundary and constrained edges, each once
@@ -270,10 +272,10 @@ def lay_rails(points: Tensor, edges: Tensor, may_slide: Tensor, corner_angle: fl
     place_of[station], place_of[ends[1:] - 1] = tail[darts], head[darts[station + 2 == ends[1:][chain]]]
     owner = torch.bucketize(place_of, point_offsets[1:], right=True)
     first, last = spread(ends[:-1], ends), spread(ends[1:] - 1, ends)
-    return _rails(points, place_of, first, last, slider, straight, turn, owner, point_offsets)
+    return _through(points, place_of, first, last, slider, straight, turn, owner, point_offsets)
 
 
-def _rails(
+def _through(
     points: Tensor,
     rows: Tensor,
     first: Tensor,
@@ -283,8 +285,8 @@ def _rails(
     turn: Tensor,
     owner: Tensor,
     point_offsets: Tensor,
-) -> Rails:
-    """The rails through the vertices `rows` (K,), chain after chain."""
+) -> BoundaryCurves:
+    """The curves through the vertices `rows` (K,), chain after chain."""
     here = torch.arange(len(rows), device=rows.device)
     closed = (rows[first] == rows[last]) & slider[rows[first]]
     after = torch.where(here == last, torch.where(closed, first + 1, last), here + 1)
@@ -304,7 +306,7 @@ def _rails(
     bend = _running_sum(torch.where(here == first, 0.0, half[here - 1]), here - first)
     chains = torch.cat([first.unique(), torch.full((1,), len(rows), device=rows.device)])
     height = spread(torch.segment_reduce(length * half / 8, "max", offsets=chains, initial=0.0), chains)
-    return Rails(
+    return BoundaryCurves(
         rows - point_offsets[owner],
         slider[rows] & ~(closed & (here == last)),
         after,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from ..mesh.curves import Rails
+    from ..mesh.curves import BoundaryCurves
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class MoveInfo:
     energy and gradient (root mean square of the gradient per free coordinate, scaled by the local
     edge length) at the end; steps accepted; energies evaluated; `Status` as int64.
 
-    rails  where sliding vertices slid to; None: there were none
+    curves  where the sliding vertices are now; None: no vertex may slide
     """
 
     energy: Tensor
@@ -25,7 +25,7 @@ class MoveInfo:
     iterations: Tensor
     evaluations: Tensor
     status: Tensor
-    rails: "Rails | None" = None
+    curves: "BoundaryCurves | None" = None
 
 
 Monitor = Callable[[int, Tensor], None]

@@ -1,6 +1,6 @@
 """Boundary and interface vertices that slide along their curves while the interior is smoothed.
 
-A sliding vertex has one unknown, its parameter on its rail, which stands in the place of its x
+A sliding vertex has one unknown, its parameter on its curve, which stands in the place of its x
 coordinate; its y coordinate's place stays empty.  The optimiser moves interior and sliding
 vertices together and knows nothing of it.
 """
@@ -13,7 +13,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
-from ..mesh.curves import Rails, lay_rails
+from ..mesh.curves import BoundaryCurves, fit_curves
 from ..mesh.measure import upright
 from ..mesh.ragged import counts_from_offsets, segment_any, segment_max, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
@@ -29,8 +29,8 @@ AREA_TOLERANCE = 1e-9
 _HALVINGS = 10
 
 
-def rails_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None = None) -> Rails:
-    """Rails along the boundary and the constrained edges, with the vertices on them as they are now.
+def curves_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None = None) -> BoundaryCurves:
+    """The curves along the boundary and the constrained edges, with the vertices on them as they are now.
 
     corner_angle  degrees; a vertex where the curve turns by more is a corner and stays
     hold          (V,) bool, further vertices that stay
@@ -41,7 +41,7 @@ def rails_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None =
         if hold.dtype != torch.bool or hold.shape != on_network.shape:
             raise InvalidMeshError(f"hold must be ({len(on_network)},) bool, not {tuple(hold.shape)} {hold.dtype}")
         on_network &= ~hold
-    return lay_rails(batch.points.to(torch.float64), network, on_network, corner_angle, batch.point_offsets)
+    return fit_curves(batch.points.to(torch.float64), network, on_network, corner_angle, batch.point_offsets)
 
 
 def _network(batch: MeshBatch) -> tuple[Tensor, Tensor]:
@@ -57,13 +57,13 @@ def _network(batch: MeshBatch) -> tuple[Tensor, Tensor]:
 class SlidingObjective:
     """An objective whose sliding vertices have a parameter for an unknown, as an `lbfgs.Objective`.
 
-    rails           in packed coordinates; those that slide have the S stations `sliding`
+    curves          in packed coordinates; those that slide have the S stations `sliding`
     x_rows, y_rows  (S,) int64, where their coordinates stand
     shift           (S, 2) from the curve to where the vertex was
     """
 
     inner: MeshObjective
-    rails: Rails
+    curves: BoundaryCurves
     x_rows: Tensor
     y_rows: Tensor
     shift: Tensor
@@ -80,16 +80,16 @@ class SlidingObjective:
         return scale
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-        rails = self.rails
-        s = rails.moved_to(unknowns[self.x_rows])
-        place, tangent, _ = rails.at(s)
-        place, tangent = place[rails.slides] + self.shift, tangent[rails.slides]
+        curves = self.curves
+        s = curves.moved_to(unknowns[self.x_rows])
+        place, tangent, _ = curves.at(s)
+        place, tangent = place[curves.slides] + self.shift, tangent[curves.slides]
         coordinates = unknowns.clone()
         coordinates[self.x_rows], coordinates[self.y_rows] = place[:, 0], place[:, 1]
         energy, gradient, done = self.inner(coordinates)
-        penalty, slope, in_order = rails.penalty(s)
+        penalty, slope, in_order = curves.penalty(s)
         along = gradient[self.x_rows] * tangent[:, 0] + gradient[self.y_rows] * tangent[:, 1]
-        gradient[self.x_rows] = along + slope[rails.slides]
+        gradient[self.x_rows] = along + slope[curves.slides]
         gradient[self.y_rows] = 0
         return torch.where(in_order, energy + penalty, torch.inf), gradient, done
 
@@ -98,72 +98,72 @@ class SlidingObjective:
         shift = kept.to(torch.int64).cumsum(0) - 1
         stay = kept[self.x_rows]
         x_rows, y_rows = shift[self.x_rows[stay]], shift[self.y_rows[stay]]
-        return SlidingObjective(self.inner.select(keep), self.rails.select(keep), x_rows, y_rows, self.shift[stay])
+        return SlidingObjective(self.inner.select(keep), self.curves.select(keep), x_rows, y_rows, self.shift[stay])
 
 
 class Slide:
     """One smoothing of a batch with sliding vertices: from the packing to the vertices' new places."""
 
-    def __init__(self, batch: MeshBatch, rails: Rails, packing: Packing) -> None:
+    def __init__(self, batch: MeshBatch, curves: BoundaryCurves, packing: Packing) -> None:
         self.batch, self.packing = batch, packing
-        rows = rails.rows(batch.point_offsets)
+        rows = curves.rows(batch.point_offsets)
         x_row, y_row = (torch.full((len(batch.points),), -1, device=rows.device) for _ in range(2))
         x_row[packing.vertices], y_row[packing.vertices] = packing.x_rows, packing.y_rows
-        self.rails = replace(rails, slides=rails.slides & (x_row[rows] >= 0))
-        self.rows = rows[self.rails.slides]
+        self.curves = replace(curves, slides=curves.slides & (x_row[rows] >= 0))
+        self.rows = rows[self.curves.slides]
         self.x_rows, self.y_rows = x_row[self.rows], y_row[self.rows]
-        self.unit = spread(packing.unit, rails.offsets)
+        self.unit = spread(packing.unit, curves.offsets)
 
     def start(self, inner: MeshObjective) -> tuple[SlidingObjective, Tensor]:
         """The objective, and the unknowns to start from."""
-        rails = self.rails.packed(self.packing.centre, self.packing.unit)
-        places = self.rails.at(self.rails.parameter)[0][self.rails.slides]
-        shift = (self.batch.points[self.rows].to(places) - places) / self.unit[self.rails.slides][:, None]
+        curves = self.curves.packed(self.packing.centre, self.packing.unit)
+        places = self.curves.at(self.curves.parameter)[0][self.curves.slides]
+        shift = (self.batch.points[self.rows].to(places) - places) / self.unit[self.curves.slides][:, None]
         unknowns = self.packing.unknowns.clone()
-        unknowns[self.x_rows] = rails.parameter[rails.slides]
+        unknowns[self.x_rows] = curves.parameter[curves.slides]
         unknowns[self.y_rows] = 0
-        return SlidingObjective(inner, rails, self.x_rows, self.y_rows, shift), unknowns
+        return SlidingObjective(inner, curves, self.x_rows, self.y_rows, shift), unknowns
 
-    def finish(self, unknowns: Tensor) -> tuple[Tensor, Rails]:
-        """(V, 2) the batch's points where `unknowns` has them, and the rails with the stations there.
+    def finish(self, unknowns: Tensor) -> tuple[Tensor, BoundaryCurves]:
+        """(V, 2) the batch's points where `unknowns` has them, and the curves with the stations there.
 
         The vertices of each curve go back by one width along its normals, so that it encloses what
         it did.  Where a triangle inverts, an edge crosses another or an area changes, that mesh
         goes half the way only, and so on; then it stays.
         """
-        batch, rails, packing = self.batch, self.rails, self.packing
+        batch, curves, packing = self.batch, self.curves, self.packing
         target = packing.unknowns.clone()
         target[:] = unknowns
         target[self.x_rows], target[self.y_rows] = packing.unknowns[self.x_rows], packing.unknowns[self.y_rows]
         interior = packing.unpack(target, batch.points).to(torch.float64)
         before = batch.points.to(torch.float64)
-        slid = rails.moved_to(unknowns[self.x_rows] * self.unit[rails.slides])
-        chains = rails.chain_offsets
-        still = spread(segment_max((slid != rails.parameter).to(slid.dtype), chains) == 0, chains)
+        slid = curves.moved_to(unknowns[self.x_rows] * self.unit[curves.slides])
+        chains = curves.chain_offsets
+        still = spread(segment_max((slid != curves.parameter).to(slid.dtype), chains) == 0, chains)
         part = torch.ones(len(batch), dtype=before.dtype, device=before.device)
         area = segment_sum(signed_area(corners(before, batch.triangles)), batch.triangle_offsets)
-        chain_mesh = torch.bucketize(chains[:-1], rails.offsets[1:], right=True)
+        chain_mesh = torch.bucketize(chains[:-1], curves.offsets[1:], right=True)
         for halving in range(_HALVINGS + 1):
             weight = spread(part, batch.point_offsets)[:, None]
             points = torch.where(weight == 1, interior, before + weight * (interior - before))
-            s = rails.parameter + spread(part, rails.offsets) * (slid - rails.parameter)
-            s = torch.where(spread(part, rails.offsets) == 1, slid, s)
-            places, _, segment = rails.at(s)
-            places, lack = rails.restore_area(places, segment)
-            moving = ~(still | (spread(part, rails.offsets) == 0))[rails.slides]
-            points[self.rows[moving]] = places[rails.slides][moving]
+            s = curves.parameter + spread(part, curves.offsets) * (slid - curves.parameter)
+            s = torch.where(spread(part, curves.offsets) == 1, slid, s)
+            places, _, segment = curves.at(s)
+            places, lack = curves.restore_area(places, segment)
+            moving = ~(still | (spread(part, curves.offsets) == 0))[curves.slides]
+            points[self.rows[moving]] = places[curves.slides][moving]
             result = batch.with_points(points)
             wrong = segment_any(~upright(result), batch.triangle_offsets)
             off = (lack.abs() > 2 * AREA_TOLERANCE * area[chain_mesh]) & ~still[chains[:-1]]
             wrong[chain_mesh[off]] = True
-            bent = rails.slides & ~rails.straight[segment] & ~still
-            curved = segment_any(bent, rails.offsets)
+            bent = curves.slides & ~curves.straight[segment] & ~still
+            curved = segment_any(bent, curves.offsets)
             wrong |= _crosses(result, curved & ~wrong)
             wrong &= part > 0
             if not bool(wrong.any()):
                 break
             part = torch.where(wrong, 0.5 * part if halving < _HALVINGS - 1 else 0.0, part)
-        return result.points, replace(rails, parameter=s)
+        return result.points, replace(curves, parameter=s)
 
 
 def _crosses(batch: MeshBatch, at: Tensor) -> Tensor:

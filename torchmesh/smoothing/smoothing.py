@@ -17,7 +17,7 @@ from ..optimising.targets import TargetFunction, Targets, as_targets, check
 from ..status import Status
 
 if TYPE_CHECKING:
-    from ..mesh.curves import Rails
+    from ..mesh.curves import BoundaryCurves
 from ..mesh.neighbourhoods import vertex_size
 from ..optimising.moves import Monitor, MoveInfo
 
@@ -77,7 +77,7 @@ def smooth(
     *,
     free: Tensor | None = None,
     monitor: Monitor | None = None,
-    rails: "Rails | None" = None,
+    curves: "BoundaryCurves | None" = None,
     block: int = BLOCK,
 ) -> tuple[MeshBatch, MoveInfo]:
     """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
@@ -87,22 +87,22 @@ def smooth(
 
     free     (V,) bool, move only these of the vertices that are not fixed, or that slide
     monitor  called with the iteration and the energies of the meshes still running
-    rails    curves to slide along, as an earlier call left them (`info.rails`); None: those of
+    curves   what to slide along, as an earlier call left them (`info.curves`); None: those of
              the mesh as it is, if the options say "slide"
     block    coordinates of a mesh are padded to a multiple of this: less is faster for meshes of few free vertices;
-             not with rails
+             not with curves
     """
     options = options or SmoothOptions()
     refused = segment_any(~upright(batch), batch.triangle_offsets)
-    if rails is None and options.boundary == "slide":
-        from .sliding import rails_of
+    if curves is None and options.boundary == "slide":
+        from .sliding import curves_of
 
-        rails = rails_of(batch, options.corner_angle)
-    stays = batch.fixed if rails is None else batch.fixed & ~rails.may_slide(batch.point_offsets)
+        curves = curves_of(batch, options.corner_angle)
+    stays = batch.fixed if curves is None else batch.fixed & ~curves.may_slide(batch.point_offsets)
     may_move = ~stays & ~spread(refused, batch.point_offsets)
     if free is not None:
         may_move &= free
-    single = options.single and rails is None and options.targets is None
+    single = options.single and curves is None and options.targets is None
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
     objective = MeshObjective(
         InverseMeanRatio(options.power, options.ceiling),
@@ -118,10 +118,10 @@ def smooth(
     if targets is not None:
         objective = aim(objective, batch, packing, targets)
     slide = None
-    if rails is not None:
+    if curves is not None:
         from .sliding import Slide
 
-        slide = Slide(batch, rails, packing)
+        slide = Slide(batch, curves, packing)
     problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
     result = minimise(
         problem,
@@ -138,7 +138,7 @@ def smooth(
     if slide is None:
         moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
     else:
-        points, rails = slide.finish(result.unknowns)
+        points, curves = slide.finish(result.unknowns)
         moved = batch.with_points(points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
     worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
@@ -146,5 +146,5 @@ def smooth(
     if bool(worse.any()):
         back = spread(worse, batch.point_offsets)[:, None]
         moved = batch.with_points(torch.where(back, batch.points, moved.points))
-        rails = None if slide is None or rails is None else rails.put(worse, slide.rails.select(worse))
-    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, rails)
+        curves = None if slide is None or curves is None else curves.put(worse, slide.curves.select(worse))
+    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, curves)
