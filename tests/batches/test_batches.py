@@ -7,6 +7,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import fields
 import meshes
 import meshio
 import numpy as np
@@ -14,8 +15,7 @@ import pytest
 import torch
 
 from torchmesh import ImproveOptions, MeshBatch, improve, read, write
-from torchmesh.batches import batches as batching
-from torchmesh.batches import manifest
+from torchmesh.batches import file_improvement, manifest
 from torchmesh.batches.batches import Job, fingerprint, improve_jobs
 from torchmesh.batches.manifest import FileResult
 from torchmesh.errors import MissingDependencyError
@@ -64,7 +64,7 @@ def test_batches_keep_to_the_budget(jobs, monkeypatch, budget):
         sizes.append(torch.diff(batch.point_offsets).tolist())
         return improve(batch, options, **more)
 
-    monkeypatch.setattr(batching, "improve", counting)
+    monkeypatch.setattr(file_improvement, "improve", counting)
     results = list(improve_jobs(jobs, ImproveOptions(), budget))
     assert all(r.valid for r in results)
     assert list(itertools.chain(*sizes)) == [r.vertices for r in results]
@@ -125,7 +125,7 @@ def test_a_batch_that_fails_is_done_mesh_by_mesh(jobs, monkeypatch):
             raise ZeroDivisionError("a bug")
         return improve(batch, options, **more)
 
-    monkeypatch.setattr(batching, "improve", failing)
+    monkeypatch.setattr(file_improvement, "improve", failing)
     results = list(improve_jobs(jobs, ImproveOptions(), 10**6))
     assert [r.valid for r in results] == [True, False, True, True]
     assert results[1].error == f"{jobs[1].file}: ZeroDivisionError: a bug"
@@ -137,7 +137,7 @@ def test_a_failed_write_leaves_no_trace(jobs, tmp_path, monkeypatch):
         Path(path).write_text("half")
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(batching, "write_series", full)
+    monkeypatch.setattr(file_improvement, "write_series", full)
     results = list(improve_jobs(jobs[:1], ImproveOptions(), 1000))
     assert "No space left on device" in results[0].error
     assert (results[0].output, results[0].inverted_after) == (None, None)
@@ -153,6 +153,28 @@ def test_warnings_are_kept_with_the_real_names(tmp_path):
     (result,) = improve_jobs([job(tmp_path, "loaded.vtu")], ImproveOptions(), 1000)
     (text,) = result.warnings
     assert text == f"{result.output}: not carried over from {tmp_path / 'loaded.vtu'}: cell data 'pressure'"
+
+
+def test_point_data_survives_added_and_removed_vertices(tmp_path):
+    """With topology "full" new vertices take their values from the old ones, as `write` with a vertex map does."""
+    before = fields.write_coarse(tmp_path / "coarse.vtu")
+    (result,) = improve_jobs([job(tmp_path, "coarse.vtu")], ImproveOptions(topology="full"), 1000)
+    assert (result.valid, result.warnings) == (True, [])
+    fields.assert_carried(before, meshio.read(result.output))
+
+
+def test_point_data_of_a_series_survives_added_and_removed_vertices(tmp_path):
+    """Each mesh of the file has a part of the batch's vertex map of its own, and so has each file of the batch."""
+    before = [fields.coarse(), fields.coarse(3)]
+    fields.write_steps(tmp_path / "steps.xdmf", before)
+    fields.write_coarse(tmp_path / "first.vtu")
+    jobs = [job(tmp_path, "first.vtu"), job(tmp_path, "steps.xdmf")]
+    _, result = improve_jobs(jobs, ImproveOptions(topology="full"), 10**6)
+    assert (result.valid, result.warnings, result.steps) == (True, [], 2)
+    after = fields.read_steps(Path(result.output))
+    assert len(after) == 2
+    for one, other in zip(before, after, strict=True):
+        fields.assert_carried(one, other)
 
 
 def test_a_fingerprint_follows_the_content(tmp_path):

@@ -4,7 +4,9 @@ import json
 import re
 from pathlib import Path
 
+import fields
 import meshes
+import meshio
 import pytest
 
 from torchmesh import improve, quality, read, write
@@ -54,6 +56,13 @@ def test_report_finds_the_stages_of_what_improve_wrote(call, tmp_path, file):
     if file != "better.stl":  # whose vertices come in another order
         assert names(tmp_path / "report.html") == steps(meshes.moved_hole())
     assert (tmp_path / file).read_bytes() == before
+
+
+def test_report_keeps_point_data_of_a_mesh_that_got_other_vertices(call, tmp_path):
+    before = fields.write_coarse(tmp_path / "coarse.vtu")
+    arguments = ["coarse.vtu", "better.vtu", "report.html", "--topology", "full", "--no-stages", "--quiet"]
+    assert call("report", *arguments) == (0, "", "")
+    fields.assert_carried(before, meshio.read(tmp_path / "better.vtu"))
 
 
 def test_report_on_two_files_that_have_no_stages_between(call, tmp_path):

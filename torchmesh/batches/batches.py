@@ -1,11 +1,11 @@
-"""Many mesh files through `improve`: read until a batch is full, improve it, write each mesh.
+"""Many mesh files through `improve`: read until a batch is full, improve it, write each file.
 
-    files --- read ---> meshes, up to `budget` vertices ---> improve ---> write, one by one
-            a broken file                       a batch that fails is done mesh by mesh
-            is a result of its own
+    files --- read ---> meshes, up to `budget` vertices ---> improve ---> write, file by file
+            a file that cannot be read                if the batch fails,
+            is a result with an error                 each file is a batch of its own
 
-A batch is bounded by its vertices, for they, and not the number of meshes, are what time and memory
-follow.  What a mesh becomes does not depend on the batch it travels in.
+A batch is bounded by its number of vertices, because time and memory follow the vertices and not the number of meshes.
+The result for a mesh does not depend on the batch that it is in.
 """
 
 import contextlib
@@ -20,17 +20,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from ..errors import MeshError, MeshWarning
-from ..files import mesh_files as io
-from ..files.time_series import Series, read_series, write_series
+from ..files.time_series import Series, read_series
 from ..improving.options import ImproveOptions
-from ..improving.pipeline import improve
-from ..improving.report import Report
-from ..mesh.batch import MeshBatch, join
-from ..mesh.measure import Quality, quality
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import Quality
 from ..status import Status
+from .file_improvement import ImprovedFile, improve_series
 from .manifest import FileResult
 
 
@@ -38,11 +35,11 @@ from .manifest import FileResult
 class Job:
     """One file to improve.
 
-    name     its path below the folder of results, with / between its parts
+    name     its path below the folder of results, with / between the parts
     file     the input, as it was given
-    output   the file to write, as the folder of results was given
-    staging  a folder in the file system of `output` where it is written first
-    size     bytes of the input, by which work is shared out; 0 where it cannot be told
+    output   the file to write, below the folder of results as that was given
+    staging  a folder in the same file system as `output`, where the file is written first
+    size     bytes of the input, by which work is shared out; 0 where the size is not known
     """
 
     name: str
@@ -53,76 +50,70 @@ class Job:
 
 
 @dataclass
-class _Open:
-    """A file that was read, on its way."""
+class _Opened:
+    """A file that was read and waits to be improved.
+
+    facts    the fields of its `FileResult` that are known so far
+    seconds  wall time spent on it so far
+    """
 
     job: Job
-    series: Series  # of one step, most times
-    facts: dict = field(default_factory=dict)  # what is known of the result by now
+    series: Series
+    facts: dict = field(default_factory=dict)
     seconds: float = 0.0
-    hold: Tensor | None = None
 
     @property
-    def batch(self) -> MeshBatch:
-        return self.series.batch
+    def vertices(self) -> int:
+        return len(self.series.batch.points)
 
 
 def improve_jobs(jobs: Sequence[Job], options: ImproveOptions, budget: int, label: str = "") -> Iterator[FileResult]:
     """The result of each job, as soon as its file is written.
 
-    budget  vertices of a batch at most; a larger mesh is a batch of its own
-    label   the settings, for the record
+    budget  greatest number of vertices in a batch; a larger mesh is a batch of its own
+    label   the settings in words, for the field `options` of each result
 
-    Nothing is raised for a file, whatever is wrong with it: its result says so.
+    Nothing is raised for a file, whatever is wrong with it: its result says what is.
     """
-    waiting: list[_Open] = []
-    size = 0
+    waiting: list[_Opened] = []
     for job in jobs:
-        opened = _read(job, options, label)
+        opened = _read(job, label)
         if isinstance(opened, FileResult):
             yield opened
             continue
-        count = len(opened.batch.points)
-        other = bool(waiting) and waiting[0].batch.points.dtype != opened.batch.points.dtype
-        if waiting and (other or size + count > budget):
+        if waiting and not _fits(opened, waiting, budget):
             yield from _improve(waiting, options)
-            waiting, size = [], 0
+            waiting = []
         waiting.append(opened)
-        size += count
     if waiting:
         yield from _improve(waiting, options)
 
 
-def _read(job: Job, options: ImproveOptions, label: str) -> _Open | FileResult:
+def _fits(opened: _Opened, waiting: list[_Opened], budget: int) -> bool:
+    same_dtype = opened.series.batch.points.dtype == waiting[0].series.batch.points.dtype
+    return same_dtype and sum(one.vertices for one in waiting) + opened.vertices <= budget
+
+
+def _read(job: Job, label: str) -> _Opened | FileResult:
     started = time.perf_counter()
     facts: dict = {"options": label, "worker": f"{socket.gethostname()}:{os.getpid()}"}
     try:
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", MeshWarning)
-            with contextlib.suppress(OSError):  # the reader says it better
+        with _recorded_warnings() as said:
+            with contextlib.suppress(OSError):  # the reader's message for a missing file is clearer
                 facts |= fingerprint(job.file)
             series = read_series(job.file)
-            hold = torch.cat([io.held(series.sources[s]) for s in _first_steps(series)]) if options.slides else None
     except Exception as error:
         return _failed(job, facts, error, time.perf_counter() - started)
     facts["warnings"] = _texts(said)
     facts |= {"vertices": len(series.batch.points), "triangles": len(series.batch.triangles), "steps": len(series)}
-    return _Open(job, series, facts, time.perf_counter() - started, hold)
+    return _Opened(job, series, facts, time.perf_counter() - started)
 
 
-def _first_steps(series: Series) -> list[int]:
-    """For each mesh of a series the first step that has it."""
-    return [series.mesh_of_step.index(m) for m in range(len(series.batch))]
-
-
-def _improve(waiting: list[_Open], options: ImproveOptions) -> Iterator[FileResult]:
-    """The meshes as one batch; if that raises, which no mesh should make it do, each alone."""
+def _improve(waiting: list[_Opened], options: ImproveOptions) -> Iterator[FileResult]:
+    """Improves the files as one batch.  If that raises, which no mesh should cause, each file is improved alone."""
     started = time.perf_counter()
     try:
-        batch = join([opened.batch for opened in waiting])
-        before = quality(batch)
-        hold = torch.cat([opened.hold for opened in waiting if opened.hold is not None]) if options.slides else None
-        after, report = improve(batch, options, hold=hold)
+        improved = improve_series([opened.series for opened in waiting], options)
     except Exception as error:
         if len(waiting) == 1:
             spent = waiting[0].seconds + time.perf_counter() - started
@@ -132,40 +123,35 @@ def _improve(waiting: list[_Open], options: ImproveOptions) -> Iterator[FileResu
             yield from _improve([opened], options)
         return
     seconds = time.perf_counter() - started
-    total, meshes, first = len(batch.triangles), after.split(), 0
-    for opened in waiting:
-        rows = slice(first, first + len(opened.batch))
-        first = rows.stop
-        opened.seconds += seconds * len(opened.batch.triangles) / total
-        yield _write(opened, meshes[rows], rows, before, report)
+    total = sum(len(opened.series.batch.triangles) for opened in waiting)
+    for opened, one in zip(waiting, improved, strict=True):
+        opened.seconds += seconds * len(opened.series.batch.triangles) / total
+        yield _write(opened, one)
 
 
-def _write(opened: _Open, meshes: list[MeshBatch], rows: slice, before: Quality, report: Report) -> FileResult:
-    """Writes the meshes of a file, which the batch has at `rows`."""
+def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
+    """Writes the file and says what became of it."""
     started = time.perf_counter()
     job, facts = opened.job, opened.facts
-    facts |= _numbers("before", before, opened.batch.split(), rows) | _numbers("after", report.quality, meshes, rows)
+    report, rows = improved.report, improved.rows
+    facts |= _quality_facts("before", improved.before, opened.series.batch.split(), rows)
+    facts |= _quality_facts("after", report.quality, improved.meshes, rows)
     failed = (~report.valid[rows]).nonzero().squeeze(1).tolist()
     shown = rows.start + (failed[0] if failed else 0)
-    many = f"mesh {failed[0]} of {len(meshes)}: " if failed and len(meshes) > 1 else ""
+    many = f"mesh {failed[0]} of {len(improved.meshes)}: " if failed and len(improved.meshes) > 1 else ""
     facts["message"] = many + report.messages[shown]
     target = Path(job.output)
-    # Process ids alone are not unique: machines of a cluster may share the folder.
+    # A process number alone is not unique, because the machines of a cluster may share the folder.
     folder = Path(job.staging) / f"{socket.gethostname()}-{os.getpid()}"
+    staged = str(folder / target.name)
     try:
-        shutil.rmtree(folder, ignore_errors=True)  # half a file, perhaps, of one that was killed
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", MeshWarning)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(parents=True, exist_ok=True)
-            write_series(folder / target.name, join(meshes), opened.series)
-        for made in sorted(folder.iterdir()):
-            os.replace(made, target.parent / made.name)
+        with _recorded_warnings() as said:
+            _write_staged(improved, target, folder)
         facts["output_bytes"] = target.stat().st_size
     except Exception as error:
         shutil.rmtree(folder, ignore_errors=True)
-        return _failed(job, facts, error, opened.seconds + time.perf_counter() - started, str(folder / target.name))
-    facts["warnings"] += [text.replace(str(folder / target.name), job.output) for text in _texts(said)]
+        return _failed(job, facts, error, opened.seconds + time.perf_counter() - started, staged)
+    facts["warnings"] += [text.replace(staged, job.output) for text in _texts(said)]
     return FileResult(
         name=job.name,
         file=job.file,
@@ -177,8 +163,18 @@ def _write(opened: _Open, meshes: list[MeshBatch], rows: slice, before: Quality,
     )
 
 
-def _numbers(stage: str, q: Quality, meshes: list[MeshBatch], rows: slice) -> dict:
-    """A file's meshes in numbers: the average is over all their triangles."""
+def _write_staged(improved: ImprovedFile, target: Path, folder: Path) -> None:
+    """Writes the file into `folder` and moves what was made, which may be several files, to the folder of `target`."""
+    shutil.rmtree(folder, ignore_errors=True)  # a killed process with this number may have left a part of a file
+    target.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    improved.write(folder / target.name)
+    for made in sorted(folder.iterdir()):
+        os.replace(made, target.parent / made.name)
+
+
+def _quality_facts(stage: str, q: Quality, meshes: list[MeshBatch], rows: slice) -> dict:
+    """Fields of a `FileResult` from the quality of a file's meshes; the average is over all their triangles."""
     weights = torch.tensor([len(mesh.triangles) for mesh in meshes], dtype=torch.float64)
     average = q.mean[rows].double() @ (weights / weights.sum()) if len(meshes) > 1 else q.mean[rows.start]
     return {
@@ -189,6 +185,10 @@ def _numbers(stage: str, q: Quality, meshes: list[MeshBatch], rows: slice) -> di
 
 
 def _failed(job: Job, facts: dict, error: Exception, seconds: float, staged: str = "") -> FileResult:
+    """The result of a job that has no output.
+
+    staged  where the output was to be written first; the message names `job.output` in its place
+    """
     expected = isinstance(error, MeshError | OSError)
     text = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, MemoryError):
@@ -203,6 +203,14 @@ def _failed(job: Job, facts: dict, error: Exception, seconds: float, staged: str
     return FileResult(name=job.name, file=job.file, error=text, seconds=seconds, **kept)
 
 
+@contextlib.contextmanager
+def _recorded_warnings() -> Iterator[list[warnings.WarningMessage]]:
+    """Inside, mesh warnings are recorded and not shown."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", MeshWarning)
+        yield said
+
+
 def _texts(said: list[warnings.WarningMessage]) -> list[str]:
     return list(dict.fromkeys(str(w.message) for w in said if issubclass(w.category, MeshWarning)))
 
@@ -212,6 +220,6 @@ def fingerprint(path: str | os.PathLike[str]) -> dict:
     with open(path, "rb") as stream:
         state = os.fstat(stream.fileno())
         found = hashlib.blake2b(digest_size=16)
-        while piece := stream.read(1 << 20):
-            found.update(piece)
+        while block := stream.read(1 << 20):
+            found.update(block)
     return {"bytes": state.st_size, "modified": state.st_mtime_ns, "digest": found.hexdigest()}

@@ -13,6 +13,7 @@ import re
 import tempfile
 import warnings
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ import numpy as np
 
 from ..errors import InvalidMeshError, MeshIOError, MeshWarning
 from ..mesh.batch import MeshBatch, join
+from ..mesh.vertex_map import VertexMap
 from . import formats
 from .atomic import replacing
 from .formats import Document
@@ -90,10 +92,17 @@ def read_series(path: str | os.PathLike[str]) -> Series:
     return Series(join(meshes), [time for time, _ in steps], mesh_of_step, sources)
 
 
-def write_series(path: str | os.PathLike[str], batch: MeshBatch, like: Series) -> None:
+def write_series(
+    path: str | os.PathLike[str],
+    batch: MeshBatch,
+    like: Series,
+    vertex_maps: Sequence[VertexMap] | None = None,
+) -> None:
     """Writes the steps of `like` at the vertices and triangles of `batch`, all or nothing.
 
-    batch  as many meshes as `like.batch` has, in its order; data is carried over as by `write`
+    batch        as many meshes as `like.batch` has, in its order; data is carried over as by `write`
+    vertex_maps  of remeshed meshes, one for each mesh of `batch` (`report.vertex_map.split(like.batch, batch)`):
+                 point data is interpolated at inserted vertices; without them, point data is dropped there
 
     A series of several steps becomes .xdmf (its data as text in the one file), a single step any
     format.  Raises as `write` does.
@@ -102,11 +111,14 @@ def write_series(path: str | os.PathLike[str], batch: MeshBatch, like: Series) -
     meshes = batch.split()
     if len(meshes) != len(like.batch):
         raise InvalidMeshError(f"{path}: the series has {len(like.batch)} meshes, the batch has {len(meshes)}")
+    if vertex_maps is not None and len(vertex_maps) != len(meshes):
+        raise InvalidMeshError(f"{path}: there are {len(vertex_maps)} vertex maps for {len(meshes)} meshes")
+    maps = [None] * len(meshes) if vertex_maps is None else vertex_maps
     form = formats.format_of(path)
     if len(like) > 1 and form != "xdmf":
         raise MeshIOError(f"{path}: {form} files hold one step, the series has {len(like)}: write .xdmf")
     if len(like) == 1:
-        document, content, same_rows = content_for(path, meshes[0], like.sources[0])
+        document, content, same_rows = content_for(path, meshes[0], like.sources[0], maps[0])
         formats.save(path, content, document, same_rows)
         return
     root = ET.Element("Xdmf", Version="3.0")
@@ -117,7 +129,7 @@ def write_series(path: str | os.PathLike[str], batch: MeshBatch, like: Series) -
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always", MeshWarning)
         for step, (time, m, source) in enumerate(zip(like.times, like.mesh_of_step, like.sources, strict=True)):
-            _, content, same_rows = content_for(path, meshes[m], source)
+            _, content, same_rows = content_for(path, meshes[m], source, maps[m])
             one = Path(folder) / f"{path.stem}.xdmf"
             formats.save(one, content, None, same_rows)
             grid = ET.parse(one).getroot().find("Domain/Grid")

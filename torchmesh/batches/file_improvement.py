@@ -1,0 +1,93 @@
+"""Read mesh files, improve their meshes as one batch, and write each file back with everything else that it holds.
+
+    file -- open_mesh ----+                             +-- ImprovedFile.write --> file
+    file -- read_series --+--> improve_series (a batch) +-- ImprovedFile.write --> file
+                                                             fields, groups, lines, quads come along
+
+`torchmesh improve`, `warp --improve`, `report`, `animate` and `batch` all go this way, so that none of them forgets
+what the others carry: which vertices must not slide, and where the vertices of a remeshed mesh come from.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+
+from ..files.mesh_files import Source, held
+from ..files.time_series import Series, write_series
+from ..improving.options import ImproveOptions
+from ..improving.pipeline import improve
+from ..improving.report import Progress, Report
+from ..mesh.batch import MeshBatch, join
+from ..mesh.measure import Quality, quality
+from ..mesh.vertex_map import VertexMap
+
+
+def open_mesh(path: str | os.PathLike[str]) -> Series:
+    """A file that holds one mesh, as a series of one step; raises and warns as `torchmesh.read` does.
+
+    Unlike `read_series`, this refuses a time series.
+    """
+    source = Source.open(path)
+    return Series(source.mesh, [0.0], [0], [source])
+
+
+@dataclass(frozen=True, eq=False)
+class ImprovedFile:
+    """The improved meshes of one file, and what is needed to write them.
+
+    given        the file as it was read
+    meshes       (M,) its improved meshes, as many as `given.batch` has
+    rows         the meshes of the file are these rows of `before` and of `report`
+    before       the quality of the whole batch that was improved, as it was given
+    report       the report of `improve` on the whole batch
+    vertex_maps  (M,) where the vertices of each mesh come from; None where vertices keep number and order
+    """
+
+    given: Series
+    meshes: list[MeshBatch]
+    rows: slice
+    before: Quality
+    report: Report
+    vertex_maps: list[VertexMap] | None
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes the file with the improved meshes in their steps, all or nothing; raises as `write_series` does."""
+        write_series(path, join(self.meshes), self.given, self.vertex_maps)
+
+
+def improve_series(
+    files: Sequence[Series],
+    options: ImproveOptions,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+    observe: Callable[[str, MeshBatch], None] | None = None,
+) -> list[ImprovedFile]:
+    """Improves the meshes of several files as one batch; the result has one entry for each file, in order.
+
+    files     the meshes to improve are each file's `batch`, whose points may differ from those in the file;
+              all batches have one dtype
+    options   as for `improve`; under boundary="slide" those vertices are held that `held` names for each file
+    progress, observe  as for `improve`
+
+    Raises as `improve` does.
+    """
+    batch = join([file.batch for file in files])
+    before = quality(batch)
+    hold = torch.cat([_held(file) for file in files]) if options.slides else None
+    after, report = improve(batch, options, progress=progress, observe=observe, hold=hold)
+    meshes = after.split()
+    maps = None if report.vertex_map is None else report.vertex_map.split(batch, after)
+    improved, first = [], 0
+    for file in files:
+        rows = slice(first, first + len(file.batch))
+        first = rows.stop
+        improved.append(ImprovedFile(file, meshes[rows], rows, before, report, None if maps is None else maps[rows]))
+    return improved
+
+
+def _held(file: Series) -> torch.Tensor:
+    """(V,) bool for all meshes of a file: the vertices that must not slide, by the first step that has each mesh."""
+    first_steps = [file.mesh_of_step.index(mesh) for mesh in range(len(file.batch))]
+    return torch.cat([held(file.sources[step]) for step in first_steps])
