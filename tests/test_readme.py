@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmesh.commands.reproduce import EXPERIMENTS, markdown, run
+from torchmesh.commands.paper_experiments import EXPERIMENTS, markdown, run
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ A `sitecustomize` module on PYTHONPATH, which every Python process runs at its s
 name of a file says what befalls the process that opens it.
 """
 
+import contextlib
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ import meshio
 import numpy as np
 import pytest
 import torch
+from children import started
 from file_runs import POSIX, TRAPS, contents
 
 from torchmesh import ImproveOptions, improve, improve_files, read, write
@@ -321,9 +323,9 @@ def test_a_worker_that_is_killed_loses_nothing(inputs, tmp_path, traps):
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
 
 
-def start(inputs: Path, out: Path, *more: str) -> subprocess.Popen:
-    command = [sys.executable, "-m", "torchmesh", "batch", str(inputs), "--out", str(out), "--budget", "1", *more]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+def batch(inputs: Path, out: Path, *more: str) -> contextlib.AbstractContextManager[subprocess.Popen]:
+    """A run of `torchmesh batch`, as a process that can be interrupted."""
+    return started("-m", "torchmesh", "batch", inputs, "--out", out, "--budget", "1", *more)
 
 
 def wait_for(condition, process: subprocess.Popen) -> None:
@@ -354,12 +356,12 @@ def test_a_run_that_is_killed_goes_on_where_it_stopped(inputs, tmp_path, traps, 
     shutil.copy(inputs / "a" / "x.vtu", inputs / "b" / "slow.vtu")
     out = tmp_path / "out"
     count, enough = (2, 3) if how == signal.SIGKILL else (1, 0)
-    process = start(inputs, out, "--workers", str(count))
-    wait_for(lambda: (traps / "sprung-slow.vtu").exists() and len(lines(out)) >= enough, process)
-    crew = children(process.pid)
-    assert len(crew) == count
-    process.send_signal(how)
-    _, err = process.communicate(timeout=60)
+    with batch(inputs, out, "--workers", str(count)) as process:
+        wait_for(lambda: (traps / "sprung-slow.vtu").exists() and len(lines(out)) >= enough, process)
+        crew = children(process.pid)
+        assert len(crew) == count
+        process.send_signal(how)
+        _, err = process.communicate(timeout=60)
     assert process.returncode == (-signal.SIGKILL if how == signal.SIGKILL else 130)
     if how == signal.SIGINT:
         assert "interrupted" in err
@@ -375,8 +377,8 @@ def test_a_run_that_is_killed_goes_on_where_it_stopped(inputs, tmp_path, traps, 
         return
     before, told = contents(out), {line["name"] for line in lines(out)}
     (traps / "fast").touch()
-    process = start(inputs, out, "--workers", "1", "--budget", "30000")
-    process.communicate(timeout=120)
+    with batch(inputs, out, "--workers", "1", "--budget", "30000") as process:
+        process.communicate(timeout=120)
     assert process.returncode == 0
     after = contents(out)
     assert set(after) == {*NAMES, "b/slow.vtu"} == {line["name"] for line in lines(out)}

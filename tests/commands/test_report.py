@@ -1,4 +1,4 @@
-"""`torchmesh report` and `torchmesh animate`."""
+"""`torchmesh report`: which stages its page shows, and what it writes."""
 
 import json
 import re
@@ -8,26 +8,12 @@ import fields
 import meshes
 import meshio
 import pytest
+from command_line import Outcome, inverted, is_one_clear_line, names
 
-from torchmesh import improve, quality, read, write
-from torchmesh.commands import main as cli
-
-
-@pytest.fixture
-def call(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    write(tmp_path / "tangled.vtu", meshes.moved_hole())
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        status = cli.main([*map(str, arguments)])
-        said = capsys.readouterr()
-        return status, said.out, said.err
-
-    return run
+from torchmesh import improve, quality, write
 
 
-def names(page: Path) -> list[str]:
+def stage_names(page: Path) -> list[str]:
     header = re.search(r'id="header">(.*?)</script>', page.read_text(), re.DOTALL).group(1)
     return [entry["name"] for entry in json.loads(header)["stages"]]
 
@@ -37,60 +23,60 @@ def steps(mesh) -> list[str]:
     return [f"{i}. {step.stage}" for i, step in enumerate(report.steps[0])]
 
 
-def test_report_makes_what_is_not_there_and_shows_its_stages(call, tmp_path):
-    status, out, err = call("report", "tangled.vtu", "better.vtu", "report.html")
-    assert (status, err) == (0, "")
-    assert out.startswith("report.html: ")
-    assert int(quality(read(tmp_path / "better.vtu")).inverted[0]) == 0
-    assert names(tmp_path / "report.html") == steps(meshes.moved_hole())
+def test_report_makes_what_is_not_there_and_shows_its_stages(call, folder):
+    done = call("report", "tangled.vtu", "new.vtu", "report.html")
+    assert (done.status, done.err) == (0, "")
+    assert done.out.startswith("report.html: ")
+    assert inverted(folder / "new.vtu") == 0
+    assert stage_names(folder / "report.html") == steps(meshes.moved_hole())
 
 
 @pytest.mark.parametrize("file", ["better.vtu", "better.stl", "better.su2"])
-def test_report_finds_the_stages_of_what_improve_wrote(call, tmp_path, file):
+def test_report_finds_the_stages_of_what_improve_wrote(call, folder, file):
     """In single precision too, which stl has."""
-    write(tmp_path / file, improve(meshes.moved_hole())[0])
-    before = (tmp_path / file).read_bytes()
-    assert call("report", "tangled.vtu", file, "report.html")[0] == 0
-    text = (tmp_path / "report.html").read_text()
-    assert (len(names(tmp_path / "report.html")) > 2) == ("are not known" not in text)
+    write(folder / file, improve(meshes.moved_hole())[0])
+    before = (folder / file).read_bytes()
+    assert call("report", "tangled.vtu", file, "report.html").status == 0
+    text = (folder / "report.html").read_text()
+    assert (len(stage_names(folder / "report.html")) > 2) == ("are not known" not in text)
     if file != "better.stl":  # whose vertices come in another order
-        assert names(tmp_path / "report.html") == steps(meshes.moved_hole())
-    assert (tmp_path / file).read_bytes() == before
+        assert stage_names(folder / "report.html") == steps(meshes.moved_hole())
+    assert (folder / file).read_bytes() == before
 
 
-def test_report_keeps_point_data_of_a_mesh_that_got_other_vertices(call, tmp_path):
-    before = fields.write_coarse(tmp_path / "coarse.vtu")
-    arguments = ["coarse.vtu", "better.vtu", "report.html", "--topology", "full", "--no-stages", "--quiet"]
-    assert call("report", *arguments) == (0, "", "")
-    fields.assert_carried(before, meshio.read(tmp_path / "better.vtu"))
+def test_report_keeps_point_data_of_a_mesh_that_got_other_vertices(call, folder):
+    before = fields.write_coarse(folder / "coarse.vtu")
+    arguments = ["coarse.vtu", "new.vtu", "report.html", "--topology", "full", "--no-stages", "--quiet"]
+    assert call("report", *arguments) == Outcome(0, "", "")
+    fields.assert_carried(before, meshio.read(folder / "new.vtu"))
 
 
-def test_report_on_two_files_that_have_no_stages_between(call, tmp_path):
-    write(tmp_path / "other.vtu", meshes.grid())
-    status, _, err = call("report", "tangled.vtu", "other.vtu", "report.html", "--title", "two files")
-    assert status == 0
-    assert err == "The stages between are not known: other.vtu is not what improve makes of tangled.vtu.\n"
-    assert names(tmp_path / "report.html") == ["0. before", "1. after"]
-    text = (tmp_path / "report.html").read_text()
+def test_report_on_two_files_that_have_no_stages_between(call, folder):
+    write(folder / "other.vtu", meshes.grid())
+    done = call("report", "tangled.vtu", "other.vtu", "report.html", "--title", "two files")
+    assert done.status == 0
+    assert done.err == "The stages between are not known: other.vtu is not what improve makes of tangled.vtu.\n"
+    assert stage_names(folder / "report.html") == ["0. before", "1. after"]
+    text = (folder / "report.html").read_text()
     assert "<h1>two files</h1>" in text
     assert "are not known" in text
 
 
-def test_report_without_stages_improves_nothing(call, tmp_path, monkeypatch):
-    write(tmp_path / "other.vtu", meshes.grid())
-    monkeypatch.setattr("torchmesh.improving.pipeline.improve", lambda *_, **__: pytest.fail("it improved"))
-    assert call("report", "tangled.vtu", "other.vtu", "report.html", "--no-stages") == (
-        0, f"report.html: 2 stages, {(tmp_path / 'report.html').stat().st_size / 1e6:.1f} MB\n", "",
+def test_report_without_stages_improves_nothing(call, folder, monkeypatch):
+    write(folder / "other.vtu", meshes.grid())
+    monkeypatch.setattr("torchmesh.batches.file_improvement.improve", lambda *_, **__: pytest.fail("it improved"))
+    assert call("report", "tangled.vtu", "other.vtu", "report.html", "--no-stages") == Outcome(
+        0, f"report.html: 2 stages, {(folder / 'report.html').stat().st_size / 1e6:.1f} MB\n", "",
     )  # fmt: skip
 
 
-def test_report_on_a_mesh_that_is_still_tangled_says_so(call, tmp_path):
-    write(tmp_path / "same.vtu", meshes.moved_hole())
-    status, _, err = call("report", "tangled.vtu", "same.vtu", "report.html", "--no-stages", "--quiet")
-    assert status == 1
+def test_report_on_a_mesh_that_is_still_tangled_says_so(call, folder):
+    write(folder / "same.vtu", meshes.moved_hole())
+    done = call("report", "tangled.vtu", "same.vtu", "report.html", "--no-stages", "--quiet")
+    assert done.status == 1
     count = int(quality(meshes.moved_hole()).inverted[0])
-    assert err == f"not valid: {count} inverted triangles in same.vtu\n"
-    assert (tmp_path / "report.html").exists()
+    assert done.err == f"not valid: {count} inverted triangles in same.vtu\n"
+    assert (folder / "report.html").exists()
 
 
 @pytest.mark.parametrize(
@@ -103,24 +89,9 @@ def test_report_on_a_mesh_that_is_still_tangled_says_so(call, tmp_path):
         (["report", "tangled.vtu", "b.foo", "r.html"], "'.foo' is not known"),
         (["report", "tangled.vtu", "b.vtu", "r.html", "--beta", "1"], "--beta needs --method paper"),
         (["report", "tangled.vtu", "b.vtu"], "PAGE.html"),
-        (["animate", "tangled.vtu", "film.avi"], "use one of .gif .mp4"),
-        (["animate", "missing.vtu", "film.gif"], "missing.vtu: there is no such file"),
-        (["animate", "tangled.vtu"], "FILM"),
     ],
 )
-def test_bad_usage_is_one_clear_line_and_no_file(call, tmp_path, arguments, text):
-    status, _, err = call(*arguments)
-    assert status == 2
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    assert text in err
-    assert [p.name for p in tmp_path.iterdir()] == ["tangled.vtu"]
-
-
-def test_animate_writes_a_film_of_the_stages(call, tmp_path):
-    pytest.importorskip("matplotlib")
-    write(tmp_path / "small.vtu", meshes.disturbed(meshes.grid(3, 3), 0.2, 4))
-    status, out, err = call("animate", "small.vtu", "film.gif", "--title", "small")
-    assert (status, err) == (0, "")
-    assert out.startswith("film.gif: ")
-    assert (tmp_path / "film.gif").read_bytes()[:3] == b"GIF"
+def test_bad_usage_is_one_clear_line_and_no_file(call, folder, arguments, text):
+    before = names(folder)
+    assert is_one_clear_line(call(*arguments), text)
+    assert names(folder) == before

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from torchmesh.commands import main as cli
-from torchmesh.commands import reproduce as reproduction
-from torchmesh.commands.reproduce import EXPERIMENTS, Row, verdicts
+from torchmesh.commands import paper_experiments
+from torchmesh.commands.paper_experiments import EXPERIMENTS, Row, verdicts
 from torchmesh.errors import MeshError
 
 STAGES = ["initial", "deformed", "flipped", "untangled", "final", "ablation", "default"]
@@ -153,21 +153,21 @@ def test_figures_4_to_18_and_a_comparison_of_each_domain(finished):
 
 
 def test_meshes_that_differ_from_the_report_are_noticed(monkeypatch):
-    right = reproduction.measured
+    right = paper_experiments.measured
 
     def wrong(mesh, rounds=None):
         row = right(mesh, rounds)
         return dataclasses.replace(row, mean=row.mean * (1 + 1e-6))
 
-    monkeypatch.setattr(reproduction, "measured", wrong)
+    monkeypatch.setattr(paper_experiments, "measured", wrong)
     with pytest.raises(MeshError, match="improve reports"):
-        reproduction.run(EXPERIMENTS[2])
+        paper_experiments.run(EXPERIMENTS[2])
 
 
 def test_without_plots(tmp_path, monkeypatch, capsys):
     """Also where matplotlib is missing, which is said at once when plots are wanted."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.setattr(reproduction, "EXPERIMENTS", EXPERIMENTS[2:])
+    monkeypatch.setattr(paper_experiments, "EXPERIMENTS", EXPERIMENTS[2:])
     assert cli.main(["reproduce", "--out", str(tmp_path / "a" / "b")]) == 2
     assert "torchmesh-untangle[plot]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -178,6 +178,6 @@ def test_without_plots(tmp_path, monkeypatch, capsys):
 
 def test_a_final_mesh_that_is_not_valid_is_status_1(monkeypatch, capsys, tmp_path):
     row = {"domain": "bar", "stage": "final", "ours": {"inverted": 3}}
-    monkeypatch.setattr(reproduction, "reproduce", lambda *_: [row])
+    monkeypatch.setattr(paper_experiments, "run_all", lambda *_: [row])
     assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err == "not valid: bar, final: 3 inverted\n"

@@ -5,8 +5,7 @@ Nothing here imports torch before it is needed.
 
 import contextlib
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import console
-from .motion_options import UsageError
+from .errors import UsageError
 from .shared_options import (
     BetaOption,
     Boundary,
@@ -37,11 +36,13 @@ EXAMPLES = (
 )
 
 
-# Failures told on standard error; the manifest has all of them.
+# How many failures standard error tells; the manifest has all of them.
 _SHOWN = 10
 
 
 class Engine(str, Enum):
+    """Where a run computes."""
+
     local = "local"
     ray = "ray"
 
@@ -109,8 +110,9 @@ def batch(
 
 
 def _run(run: "Run", quiet: bool) -> int:
-    total, started = len(run.kept) + len(run.jobs), time.perf_counter()
-    tally = Tally(total, len(run.kept), sum(max(job.size, 1) for job in run.jobs))
+    """Does the work and returns the exit status."""
+    clock = console.Clock()
+    tally = Tally(len(run.kept) + len(run.jobs), len(run.kept), sum(max(job.size, 1) for job in run.jobs))
     sizes = {job.name: max(job.size, 1) for job in run.jobs}
     try:
         with _progress(tally, quiet) as show:
@@ -118,39 +120,34 @@ def _run(run: "Run", quiet: bool) -> int:
                 tally.add(result, sizes.get(result.name, 0))
                 show(result)
     except KeyboardInterrupt:
-        console.say(f"{tally.done:,} of {total:,} meshes are done; the same command goes on from there")
+        console.say(f"{tally.done:,} of {tally.total:,} meshes are done; the same command goes on from there")
         raise
     if not quiet:
-        console.print_counts(
-            f"{run.out}, {time.perf_counter() - started:.1f} s",
-            {
-                "meshes": total,
-                "of an earlier run": len(run.kept),
-                "valid": total - tally.tangled - tally.errors,
-                "not valid": tally.tangled,
-                "errors": tally.errors,
-                "inverted triangles before": tally.inverted_before,
-                "inverted triangles after": tally.inverted_after,
-            },
-        )
-    if tally.tangled or tally.errors:
-        hidden = tally.tangled + tally.errors - _SHOWN
+        console.print_counts(f"{run.out}, {clock.seconds:.1f} s", tally.counts())
+    if tally.failed:
+        hidden = tally.failed - _SHOWN
         more = f"; {hidden:,} more in the manifest" if hidden > 0 else ""
         console.say(
-            f"not valid: {tally.tangled:,} of {total:,} meshes still have inverted triangles, "
+            f"not valid: {tally.tangled:,} of {tally.total:,} meshes still have inverted triangles, "
             f"{tally.errors:,} are errors: {run.out / 'manifest.jsonl'}{more}"
         )
-    return int(bool(tally.tangled or tally.errors))
+    return int(tally.failed > 0)
 
 
 class Tally:
-    """What a run has come to: counts, and from the bytes done how long the rest will take."""
+    """Counts the results of a run, and estimates from the bytes of the files done how long the rest will take.
+
+    total  meshes of the run
+    kept   how many of them an earlier run did
+    size   bytes of the files that are left to do
+    """
 
     def __init__(self, total: int, kept: int, size: int) -> None:
         self.total, self.kept, self.size = total, kept, size
         self.done = self.tangled = self.errors = self.inverted_before = self.inverted_after = self.bytes = 0
 
     def add(self, result: "FileResult", size: int) -> None:
+        """Counts one result, whose file has `size` bytes."""
         self.done += 1
         self.bytes += size
         self.errors += result.error is not None
@@ -158,27 +155,47 @@ class Tally:
         self.inverted_before += result.inverted_before or 0
         self.inverted_after += result.inverted_after or 0
 
+    @property
+    def failed(self) -> int:
+        """Meshes that are errors or still have inverted triangles."""
+        return self.tangled + self.errors
+
+    def counts(self) -> dict[str, int]:
+        """The rows of the table at the end of a run."""
+        return {
+            "meshes": self.total,
+            "of an earlier run": self.kept,
+            "valid": self.total - self.failed,
+            "not valid": self.tangled,
+            "errors": self.errors,
+            "inverted triangles before": self.inverted_before,
+            "inverted triangles after": self.inverted_after,
+        }
+
     def text(self, seconds: float) -> str:
         """'120 of 400 meshes, 1 failed, 25.3 a second, 0:00:11 left'"""
-        made, failed = self.done - self.kept, self.tangled + self.errors
+        made = self.done - self.kept
         words = [f"{self.done:,} of {self.total:,} meshes"]
-        words += [f"{failed:,} failed"] if failed else []
+        words += [f"{self.failed:,} failed"] if self.failed else []
         if made > 0 and seconds > 0:
             left = seconds * (self.size - self.bytes) / self.bytes
-            words += [f"{made / seconds:.3g} a second", f"{clock(left)} left"]
+            words += [f"{made / seconds:.3g} a second", f"{hours(left)} left"]
         return ", ".join(words)
 
 
-def clock(seconds: float) -> str:
+def hours(seconds: float) -> str:
     """'1:02:03'"""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
 
 
 @contextlib.contextmanager
-def _progress(tally: Tally, quiet: bool) -> Iterator:
-    """A live bar on a terminal, elsewhere a line every ten seconds; failures are lines of their own at once."""
-    told = 0
+def _progress(tally: Tally, quiet: bool) -> Iterator["Callable[[FileResult], None]"]:
+    """Gives what is called with each result: it tells the first failures, and how far the run is.
+
+    That is a live bar on a terminal, and a line every ten seconds elsewhere.
+    """
+    told, clock = 0, console.Clock()
 
     def tell(result: "FileResult") -> None:
         nonlocal told
@@ -188,19 +205,15 @@ def _progress(tally: Tally, quiet: bool) -> Iterator:
         if result.error is not None:
             console.say(f"error: {result.error}")
         else:
-            console.say(f"not valid: {console.counted(result.inverted_after or 0, 'inverted triangle')} in "
-                        f"{result.output} ({result.message})")  # fmt: skip
+            inverted = console.counted(result.inverted_after or 0, "inverted triangle")
+            console.say(f"not valid: {inverted} in {result.output} ({result.message})")
 
-    started = time.perf_counter()
     if quiet or not sys.stderr.isatty():
-        last = started
 
         def show(result: "FileResult") -> None:
-            nonlocal last
             tell(result)
-            if not quiet and time.perf_counter() - last >= 10:
-                last = time.perf_counter()
-                console.say(tally.text(last - started))
+            if not quiet and clock.due():
+                console.say(tally.text(clock.seconds))
 
         yield show
         return
@@ -208,6 +221,6 @@ def _progress(tally: Tally, quiet: bool) -> Iterator:
 
         def show_bar(result: "FileResult") -> None:
             tell(result)
-            advance(tally.done, tally.text(time.perf_counter() - started))
+            advance(tally.done, tally.text(clock.seconds))
 
         yield show_bar

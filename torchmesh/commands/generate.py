@@ -1,17 +1,16 @@
-"""`torchmesh generate`: random meshes in motion, into one compressed file or a folder of mesh files.
+"""`torchmesh generate`: writes random meshes in motion, into one compressed file or a folder of mesh files.
 
 Nothing here imports torch before it is needed.
 """
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from . import console
-from .motion_options import UsageError
-from .shared_options import QuietOption
+from .errors import UsageError
+from .shared_options import QuietOption, use_threads
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,11 +24,8 @@ EXAMPLES = (
 )
 
 
-# Meshes made and written at a time, and seconds between two lines of progress.
+# How many meshes are made and written at a time.
 _AT_ONCE = 64
-
-
-_PATIENCE = 10.0
 
 
 _SUFFIXES = (".h5", ".hdf5")
@@ -72,15 +68,13 @@ def generate(
     and number of inverted triangles (in Python: torchmesh.load_batch, load_fields, datasets.MeshDataset). A folder gets
     files named by number and family, the deformed mesh in each. The exit status is 0 however many are tangled.
     """
-    import torch
-
     from ..learning.domains import FAMILIES, pairs
 
     if suffix is None and target.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{target}: the name of a file of meshes ends in .h5; for a folder of files give --format")
     if suffix is not None and target.suffix.lower() in _SUFFIXES:
         raise UsageError(f"{target}: with --format the meshes go into a folder, not into an .h5 file")
-    torch.set_num_threads(1)
+    use_threads(1)
     try:
         some = pairs(
             family or tuple(FAMILIES),
@@ -92,15 +86,14 @@ def generate(
         )
     except ValueError as error:
         raise UsageError(str(error)) from None
-    started = time.perf_counter()
     log = _Log(count, quiet)
-    parts = _cut(some, count, log)
+    batches = _first(some, count, log)
     if suffix is None:
-        _into_one(target, parts)
+        _into_one(target, batches)
     else:
-        _into_folder(target, suffix, parts)
+        _into_folder(target, suffix, batches)
     if not quiet:
-        seconds = time.perf_counter() - started
+        seconds = log.clock.seconds
         console.say(
             f"{console.counted(count, 'mesh', 'meshes')} in {target}: {log.triangles:,} triangles, "
             f"{log.tangled:,} meshes tangled, {log.inverted:,} triangles inverted; "
@@ -110,32 +103,30 @@ def generate(
 
 
 class _Log:
-    """What was made so far, said every ten seconds."""
+    """Counts what has been made, and says it every ten seconds."""
 
     def __init__(self, count: int, quiet: bool) -> None:
-        self.count, self.quiet = count, quiet
+        self.count, self.quiet, self.clock = count, quiet, console.Clock()
         self.meshes = self.triangles = self.tangled = self.inverted = 0
-        self.said = time.perf_counter()
 
     def add(self, moved: "Moved") -> None:
         self.meshes += len(moved)
         self.triangles += len(moved.deformed.triangles)
         self.tangled += int((moved.inverted > 0).sum())
         self.inverted += int(moved.inverted.sum())
-        if not self.quiet and time.perf_counter() - self.said > _PATIENCE:
-            self.said = time.perf_counter()
+        if not self.quiet and self.clock.due():
             console.say(f"{self.meshes:,} of {self.count:,} meshes")
 
 
-def _cut(stream: "Iterator[Moved]", count: int, log: _Log) -> "Iterator[Moved]":
-    """The first `count` meshes of an endless stream."""
+def _first(stream: "Iterator[Moved]", count: int, log: _Log) -> "Iterator[Moved]":
+    """The first `count` meshes of an endless stream of batches."""
+    import torch
+
     from ..learning.domains import Moved
 
     for moved in stream:
         surplus = log.meshes + len(moved) - count
         if surplus > 0:
-            import torch
-
             keep = torch.arange(len(moved)) < len(moved) - surplus
             moved = Moved(
                 moved.undeformed.select(keep),
@@ -149,11 +140,12 @@ def _cut(stream: "Iterator[Moved]", count: int, log: _Log) -> "Iterator[Moved]":
             return
 
 
-def _into_one(target: Path, parts: "Iterator[Moved]") -> None:
+def _into_one(target: Path, batches: "Iterator[Moved]") -> None:
+    """Writes all meshes into one HDF5 file."""
     from ..files.hdf5 import BatchWriter
 
     with BatchWriter(target) as writer:
-        for moved in parts:
+        for moved in batches:
             writer.append(
                 moved.deformed,
                 point_fields={"undeformed": moved.undeformed.points},
@@ -161,7 +153,8 @@ def _into_one(target: Path, parts: "Iterator[Moved]") -> None:
             )
 
 
-def _into_folder(target: Path, suffix: str, parts: "Iterator[Moved]") -> None:
+def _into_folder(target: Path, suffix: str, batches: "Iterator[Moved]") -> None:
+    """Writes each deformed mesh into a file of its own; raises MeshIOError."""
     from ..errors import MeshIOError
     from ..files.formats import format_of
     from ..files.mesh_files import write
@@ -173,7 +166,7 @@ def _into_folder(target: Path, suffix: str, parts: "Iterator[Moved]") -> None:
     except OSError as error:
         raise MeshIOError(f"{target}: no folder can be made: {error.strerror}") from None
     number = 0
-    for moved in parts:
+    for moved in batches:
         for mesh, family in zip(moved.deformed.split(), moved.families, strict=True):
             write(target / f"{number:06d}-{family}{ending}", mesh)
             number += 1

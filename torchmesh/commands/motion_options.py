@@ -1,30 +1,34 @@
-"""Motions of a mesh's boundary, as the options of `torchmesh warp` say them: which part, and where to.
+"""Motions of a mesh's boundary, as the options of `torchmesh warp` describe them: which part moves, and where to.
 
-A part is a loop by name (hole:1) or a box.  Nothing here imports torch before it is needed.
+A part is a loop, given by its name (hole:1), or a box.  Nothing here imports torch before it is needed.
 """
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
+from .errors import UsageError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..files.mesh_files import Source
     from ..mesh.batch import MeshBatch
 
-# Typer carries click inside itself or imports it, depending on its version; either way this is
-# click's UsageError.
-UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+# A box is this part of the mesh's extent larger than given, because coordinates in files are rounded.
+_BOX_TOLERANCE = 1e-9
+
+# A displacement field lies in the mesh's plane if it leaves it by less than this part of its length.
+_PLANE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the boundary: the loop of that name, or without one what lies in the box.
+    """A part of the boundary: the loop of that name, or, if there is no name, the fixed vertices in the box.
 
-    option  as given on the command line, for messages
+    option  the option as it was given on the command line, for messages
+    loop    the name of a loop; empty for a box
+    box     two opposite corners x0, y0, x1, y1, in the unit of the file
     """
 
     option: str
@@ -33,7 +37,7 @@ class Part:
 
     @classmethod
     def of(cls, option: str, words: list[str]) -> "Part":
-        """The part that an option's words, split at colons, name; raises UsageError."""
+        """The part that the words of an option name, which stood between colons; raises UsageError."""
         if words[0] in ("outer", "hole"):
             return cls(option, ":".join(words), ())
         return cls(option, "", _numbers(option, words[0], 4))
@@ -51,7 +55,7 @@ class Part:
             return inside
         x0, y0, x1, y1 = self.box
         box = torch.tensor([[min(x0, x1), min(y0, y1)], [max(x0, x1), max(y0, y1)]], dtype=torch.float64)
-        slack = 1e-9 * float(mesh.points.amax(0).sub(mesh.points.amin(0)).max())
+        slack = _BOX_TOLERANCE * float(mesh.points.amax(0).sub(mesh.points.amin(0)).max())
         inside = mesh.fixed & ((mesh.points >= box[0] - slack) & (mesh.points <= box[1] + slack)).all(1)
         if not bool(inside.any()):
             raise UsageError(f"{self.option}: no boundary vertex lies in that box")
@@ -60,7 +64,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Shift:
-    """`--move PART:DX,DY`"""
+    """`--move PART:DX,DY`: move a part of the boundary by a vector."""
 
     part: Part
     by: tuple[float, ...]
@@ -77,7 +81,10 @@ class Shift:
 
 @dataclass(frozen=True)
 class Turn:
-    """`--rotate PART:DEG`, or `--rotate PART:DEG:X,Y` with a centre."""
+    """`--rotate PART:DEG`: turn a part of the boundary about the middle of its bounding box.
+
+    `--rotate PART:DEG:X,Y` gives another centre.
+    """
 
     part: Part
     degrees: float
@@ -97,7 +104,7 @@ class Turn:
         return cls(Part.of(option, words[:named]), _numbers(option, words[named], 1)[0], centre)
 
     def apply(self, points: "Tensor", rows: "Tensor") -> "Tensor":
-        """`points` (V, 2) with the `rows` (V,) bool turned."""
+        """(V, 2) `points` after those that `rows` (V,) bool marks have turned."""
         import torch
 
         part = points[rows]
@@ -121,35 +128,46 @@ def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
     return values
 
 
-def new_boundary(
-    mesh: "MeshBatch", turns: list[Turn], shifts: list[Shift], source: Path, displacement: str | None
-) -> "Tensor":
-    """(V, 2) where the boundary goes: turned, then shifted and displaced by the point field of that name in `source`.
+@dataclass(frozen=True)
+class Motion:
+    """All that `torchmesh warp` is to do to a boundary: turns come first, then moves and the displacement add up."""
 
-    Raises UsageError for a part or a vector field that is not there, InvalidMeshError for a field that leaves the
-    mesh's plane.
-    """
-    target = mesh.points
-    for turn in turns:
-        target = turn.apply(target, turn.part.vertices(mesh))
-    for shift in shifts:
-        rows = shift.part.vertices(mesh)
-        target = target + rows[:, None] * target.new_tensor(shift.by)
-    return target if displacement is None else target + _field(mesh, source, displacement)
+    turns: list[Turn]
+    shifts: list[Shift]
+    displacement: str | None
+
+    @classmethod
+    def of(cls, rotate: list[str], move: list[str], displacement: str | None) -> "Motion":
+        """From the values of the options `--rotate`, `--move` and `--displacement`; raises UsageError."""
+        return cls([Turn.of(text) for text in rotate], [Shift.of(text) for text in move], displacement)
+
+    def apply(self, source: "Source") -> "Tensor":
+        """(V, 2) the positions to which the boundary of the file's mesh goes.
+
+        Raises UsageError for a part or a vector field that does not exist, InvalidMeshError for a field that leaves
+        the plane of the mesh.
+        """
+        mesh = source.mesh
+        goal = mesh.points
+        for turn in self.turns:
+            goal = turn.apply(goal, turn.part.vertices(mesh))
+        for shift in self.shifts:
+            rows = shift.part.vertices(mesh)
+            goal = goal + rows[:, None] * goal.new_tensor(shift.by)
+        return goal if self.displacement is None else goal + _field(source, self.displacement)
 
 
-def _field(mesh: "MeshBatch", source: Path, name: str) -> "Tensor":
-    """(V, 2) the vectors of a point field of the file, in the mesh's plane."""
+def _field(source: "Source", name: str) -> "Tensor":
+    """(V, 2) the vectors of a point field of the file, in the plane of its mesh."""
     import numpy as np
     import torch
 
     from ..errors import InvalidMeshError
-    from ..files.formats import load
 
-    fields = load(source).mesh.point_data
+    mesh, fields = source.mesh, source.document.mesh.point_data
     if name not in fields:
         known = f"it has {', '.join(map(repr, sorted(fields)))}" if fields else "it has none"
-        raise UsageError(f"--displacement {name}: {source} has no such point field; {known}")
+        raise UsageError(f"--displacement {name}: {source.path} has no such point field; {known}")
     values = np.asarray(fields[name], dtype=np.float64)
     if values.ndim != 2 or values.shape[1] not in (2, 3):
         raise UsageError(f"--displacement {name}: it has shape {values.shape}, not a vector for every point")
@@ -157,7 +175,7 @@ def _field(mesh: "MeshBatch", source: Path, name: str) -> "Tensor":
     axes = mesh.frames[0, 1:]
     flat = vectors @ axes.T
     away = (vectors - flat @ axes).abs().amax(1)
-    off = mesh.fixed & (away > 1e-6 * vectors.abs().amax(1))
+    off = mesh.fixed & (away > _PLANE_TOLERANCE * vectors.abs().amax(1))
     if bool(off.any()):
         row = int(off.nonzero()[0, 0])
         raise InvalidMeshError(f"point field {name!r} row {row} is {values[row].tolist()}: it leaves the plane")
@@ -165,13 +183,13 @@ def _field(mesh: "MeshBatch", source: Path, name: str) -> "Tensor":
 
 
 def loops(mesh: "MeshBatch") -> dict[str, "Tensor"]:
-    """The boundary's closed loops by name: outer ones, largest first, and holes, from left to right."""
+    """The vertices of the boundary's loops, by name: outer loops, largest first, then holes from left to right."""
     from ..mesh import connectivity
 
-    rim = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
+    edges = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
     outer: list[tuple] = []
     holes: list[tuple] = []
-    for loop in connectivity.boundary_loops(rim):
+    for loop in connectivity.boundary_loops(edges):
         xy = mesh.points[loop]
         following = xy.roll(-1, 0)
         area = float((xy[:, 0] * following[:, 1] - xy[:, 1] * following[:, 0]).sum()) / 2
@@ -182,35 +200,3 @@ def loops(mesh: "MeshBatch") -> dict[str, "Tensor"]:
         for number, (_, _, loop) in enumerate(sorted(found, key=lambda f: f[:2]), 1):
             named[f"{name}:{number}"] = loop
     return named
-
-
-def check_steps(steps: str, improve_too: bool) -> None:
-    """Raises UsageError unless `steps` is auto or a number, and stands alone."""
-    if steps != "auto" and not (steps.isascii() and steps.isdigit() and int(steps) > 0):
-        raise UsageError(f"--steps {steps}: expected auto or a number of steps, at least 1")
-    if improve_too:
-        raise UsageError("--steps improves on arrival: leave --improve out")
-
-
-def deform_file(mesh: "MeshBatch", boundary: "Tensor", steps: str, target: Path, source: Path, quiet: bool) -> int:
-    """`torchmesh warp --steps`: move without tangling, write, say how far it got; the exit status."""
-    from ..errors import InvalidMeshError
-    from ..files.mesh_files import write
-    from ..improving.deformation import deform
-    from ..mesh.measure import quality as measure
-    from ..status import Status
-    from . import console
-
-    with console.progress(quiet) as show:
-        try:
-            after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show)
-        except InvalidMeshError as error:
-            raise InvalidMeshError(f"{source}: {error}") from None
-    write(target, after, like=source)
-    if not quiet:
-        columns = {"undeformed": console.record(mesh, measure(mesh)), "deformed": console.record(after, measure(after))}
-        console.print_comparison(f"{target}, {report.messages[0]}", columns)
-    if int(report.status[0]) == Status.VALID:
-        return 0
-    console.say(f"not at the goal: {target} is valid, but {report.messages[0]}")
-    return 1

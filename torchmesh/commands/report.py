@@ -1,54 +1,49 @@
-"""`torchmesh report` and `torchmesh animate`: a page and a film of a mesh on its way.
+"""`torchmesh report`: a web page of a mesh before and after its improvement, and of the stages between.
 
 Nothing here imports torch before it is needed.
 """
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from . import console
-from .motion_options import UsageError
+from .errors import UsageError
+from .observation import observe
 from .shared_options import (
+    BeforeArgument,
     BetaOption,
     Boundary,
     BoundaryOption,
     Method,
     MethodOption,
     QuietOption,
+    TitleOption,
     Topology,
     TopologyOption,
     improve_options,
 )
+from .targets import check_distinct, check_mesh_target
 
 if TYPE_CHECKING:
+    from ..files.time_series import Series
     from ..improving.options import ImproveOptions
     from ..improving.report import Report
     from ..mesh.batch import MeshBatch
 
-REPORT_EXAMPLES = (
+EXAMPLES = (
     "torchmesh report tangled.vtu better.vtu report.html",
     "torchmesh report tangled.vtu better.vtu report.html --no-stages",
 )
 
-
-ANIMATE_EXAMPLES = ("torchmesh animate tangled.vtu untangling.gif --title 'A hole that moved'",)
-
-
-# Vertices of OUT may be off by this part of the mesh's extent: some formats are of single precision.
-_SAME_PLACE = 1e-6
-
-
-_In = Annotated[Path, typer.Argument(metavar="IN", help="Mesh file before.", show_default=False)]
-
-
-_Title = Annotated[str | None, typer.Option(help="The heading. Default: the name of IN.", show_default=False)]
+# OUT is what improve makes of IN if no vertex is off by more than this part of the mesh's extent: some file formats
+# have single precision only.
+_SAME_POSITION = 1e-6
 
 
 def report(
-    source: _In,
+    source: BeforeArgument,
     target: Annotated[
         Path,
         typer.Argument(metavar="OUT", help="Mesh file after; if there is none, improve makes it.", show_default=False),
@@ -57,7 +52,7 @@ def report(
     stages: Annotated[
         bool, typer.Option(help="Repeat the improvement to show its stages; without, only before and after.")
     ] = True,
-    title: _Title = None,
+    title: TitleOption = None,
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
@@ -72,109 +67,67 @@ def report(
 
     The exit status is 1 if OUT has inverted triangles.
     """
+    from ..batches.file_improvement import open_mesh
     from ..files.atomic import check_target
-    from ..files.mesh_files import read, write
     from ..mesh.measure import quality
     from ..pictures.page import report_page
 
     options = improve_options(method, topology, beta, boundary)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a page's name ends in .html")
-    _check_different(source, target, page)
+    check_distinct(source, target, page)
     check_target(page)
-    before = read(source)
-    note = None
+    given = open_mesh(source)
     if target.exists():
-        after = read(target)
-        shown, result = [("before", before), ("after", after)], None
-        if stages:
-            seen, made, outcome = _observed(source, before, options, quiet)
-            if _agree(made, after):
-                shown, result = seen, outcome
-                shown[-1] = (shown[-1][0], after)
-            else:
-                note = f"The stages between are not known: {target.name} is not what improve makes of {source.name}."
+        shown, after, result, note = _compare(given, target, options, stages, quiet)
     else:
-        from ..files.formats import format_of
-
-        format_of(target)
-        check_target(target)
-        shown, after, result = _observed(source, before, options, quiet)
-        if not stages:
-            shown, result = [("before", before), ("after", after)], None
-        write(target, after, like=source)
+        shown, after, result = _make(given, target, options, stages, quiet)
+        note = None
     report_page(page, shown, result, title=title or f"{source.name}: before and after", note=note)
-    inverted = int(quality(after).inverted.sum())
     if not quiet:
         extent = console.counted(len(shown), "stage") if note is None else "before and after only"
         typer.echo(f"{page}: {extent}, {page.stat().st_size / 1e6:.1f} MB")
         if note is not None:
             console.say(note)
-    if inverted:
-        console.say(f"not valid: {console.counted(inverted, 'inverted triangle')} in {target}")
-    return int(inverted > 0)
+    return console.verdict(f"in {target}", quality(after))
 
 
-def animate(
-    source: _In,
-    film: Annotated[Path, typer.Argument(metavar="FILM", help="Film to write: .gif or .mp4.", show_default=False)],
-    title: _Title = None,
-    method: MethodOption = Method.default,
-    topology: TopologyOption = Topology.flip,
-    boundary: BoundaryOption = Boundary.fixed,
-    beta: BetaOption = None,
-    quiet: QuietOption = False,
-) -> int:
-    """Improve a mesh and write a film of it: the whole mesh and its worst place, stage by stage.
+def _make(
+    given: "Series", target: Path, options: "ImproveOptions", stages: bool, quiet: bool
+) -> "tuple[list[tuple[str, MeshBatch]], MeshBatch, Report | None]":
+    """Improves the mesh and writes it; what the page shows, the mesh at the end, and the report for the page."""
+    check_mesh_target(target)
+    observed = observe(given, options, quiet)
+    observed.improved.write(target)
+    if stages:
+        return observed.stages, observed.after, observed.report
+    return [("before", given.batch), ("after", observed.after)], observed.after, None
 
-    Between two stages that differ in the vertices' places only, the vertices glide in straight lines. A gif needs
-    matplotlib, an mp4 also imageio-ffmpeg (pip install 'torchmesh-untangle\\[video]'). No mesh is written.
 
-    The exit status is 1 if the mesh ends with inverted triangles.
+def _compare(
+    given: "Series", target: Path, options: "ImproveOptions", stages: bool, quiet: bool
+) -> "tuple[list[tuple[str, MeshBatch]], MeshBatch, Report | None, str | None]":
+    """What the page shows of a mesh that was improved before: its stages, if the same improvement leads to it.
+
+    The last entry is a note for the page where it does not.
     """
     from ..files.mesh_files import read
-    from ..pictures.films import animate as write_film
-    from ..pictures.films import check_film_path
 
-    options = improve_options(method, topology, beta, boundary)
-    _check_different(source, film)
-    check_film_path(film)
-    before = read(source)
-    seen, _, result = _observed(source, before, options, quiet)
-    write_film(film, seen, title=title or source.name)
-    if not quiet:
-        typer.echo(f"{film}: {console.counted(len(seen), 'stage')}, {film.stat().st_size / 1e6:.1f} MB")
-    inverted = int(result.quality.inverted.sum())
-    if inverted:
-        console.say(f"not valid: {console.counted(inverted, 'inverted triangle')} left ({result.messages[0]})")
-    return int(inverted > 0)
-
-
-def _observed(
-    source: Path, before: "MeshBatch", options: "ImproveOptions", quiet: bool
-) -> "tuple[list[tuple[str, MeshBatch]], MeshBatch, Report]":
-    """The stages of the mesh's improvement, the mesh at its end, and the report."""
-    import torch
-
-    from ..files.mesh_files import held
-    from ..improving.pipeline import improve
-
-    # As `torchmesh improve` does, so that the same mesh comes out.
-    torch.set_num_threads(1)
-    seen: list[tuple[str, MeshBatch]] = []
-    with console.progress(quiet) as show:
-        after, result = improve(
-            before,
-            options,
-            progress=show,
-            observe=lambda stage, batch: seen.append((stage, batch)),
-            hold=held(source) if options.slides else None,
-        )
-    return seen, after, result
+    after = read(target)
+    both: list[tuple[str, MeshBatch]] = [("before", given.batch), ("after", after)]
+    if not stages:
+        return both, after, None, None
+    observed = observe(given, options, quiet)
+    if not _agree(observed.after, after):
+        name = given.sources[0].path.name
+        note = f"The stages between are not known: {target.name} is not what improve makes of {name}."
+        return both, after, None, note
+    *between, (last, _) = observed.stages
+    return [*between, (last, after)], after, observed.report, None
 
 
 def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:
-    """The same triangles at the same places, up to what a file's format may round off."""
+    """Whether two meshes have the same triangles at the same positions, up to what a file format may round off."""
     from ..mesh.batch import lift
 
     if one.triangles.shape != other.triangles.shape or one.points.shape != other.points.shape:
@@ -182,13 +135,4 @@ def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:
     if not bool((one.triangles == other.triangles).all()):
         return False
     extent = float((one.points.amax(0) - one.points.amin(0)).max())
-    return float((lift(one) - lift(other)).abs().max()) <= _SAME_PLACE * extent
-
-
-def _check_different(*paths: Path) -> None:
-    taken: set[str] = set()
-    for path in paths:
-        real = os.path.realpath(path)
-        if real in taken:
-            raise UsageError(f"{path} is named twice: each file needs its own name")
-        taken.add(real)
+    return float((lift(one) - lift(other)).abs().max()) <= _SAME_POSITION * extent

@@ -1,20 +1,31 @@
-"""The options that several commands of the command line share.  Nothing here imports torch before it is needed."""
+"""The arguments and options that several commands share, and the `ImproveOptions` that they stand for.
 
-import contextlib
+Nothing here imports torch before it is needed.
+"""
+
 import math
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .motion_options import UsageError
+from .errors import UsageError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from ..improving.options import ImproveOptions
-    from ..mesh.batch import MeshBatch
-    from ..remeshing.sizing import Sizes
+
+
+InArgument = Annotated[Path, typer.Argument(metavar="IN", help="Mesh file to read.", show_default=False)]
+
+
+BeforeArgument = Annotated[Path, typer.Argument(metavar="IN", help="Mesh file before.", show_default=False)]
+
+
+TitleOption = Annotated[str | None, typer.Option(help="The heading. Default: the name of IN.", show_default=False)]
+
+
+ThreadsOption = Annotated[int, typer.Option(min=1, help="Processor threads to use.")]
 
 
 class Method(str, Enum):
@@ -73,48 +84,13 @@ BetaOption = Annotated[
 ]
 
 
-SizesOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SIZES",
-        help="Also show edge lengths over the lengths wanted: 'boundary' (the boundary's, continued inwards), "
-        "'uniform', a number in the file's unit of length, or the name of a point field that holds them.",
-        show_default=False,
-    ),
-]
-
-
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
-
-
-def sizes_wanted(text: str, mesh: "MeshBatch", source: "Path") -> "Sizes":
-    """The sizes that `SizesOption` names for the mesh read from `source`; raises UsageError."""
-    import torch
-
-    from ..files.formats import load
-
-    if text == "boundary":
-        return "boundary"
-    if text == "uniform":
-        return "uniform"
-    with contextlib.suppress(ValueError):
-        length = float(text)
-        if not (math.isfinite(length) and length > 0):
-            raise UsageError(f"--sizes must be a positive length, not {text}")
-        return torch.full((len(mesh.points),), length, dtype=torch.float64)
-    fields = load(source).mesh.point_data
-    if text not in fields:
-        known = f"it has {', '.join(map(repr, sorted(fields)))}" if fields else "it has none"
-        raise UsageError(
-            f"--sizes {text}: neither 'boundary', 'uniform', a number nor a point field of {source}; {known}"
-        )
-    return torch.as_tensor(fields[text]).reshape(len(fields[text]), -1)[:, 0]
 
 
 def improve_options(
     method: Method, topology: Topology, beta: float | None, boundary: Boundary = Boundary.fixed
 ) -> "ImproveOptions":
-    """The options of `improve` that a command line asks for; raises UsageError."""
+    """The options of `improve` that the options of a command stand for; raises UsageError."""
     from ..improving.options import ImproveOptions
 
     if beta is not None and method is not Method.paper:
@@ -128,3 +104,10 @@ def improve_options(
         return make(topology=topology.value, boundary=boundary.value)
     except ValueError as error:
         raise UsageError(str(error)) from None
+
+
+def use_threads(count: int) -> None:
+    """Lets torch compute with this number of threads."""
+    import torch
+
+    torch.set_num_threads(count)

@@ -1,0 +1,98 @@
+"""What tests of the command line share: its outcome, files to work on, and independent measures of the results."""
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshes
+import meshio
+import numpy as np
+from exact import double_area
+
+from torchmesh import MeshBatch, write
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The exit status, standard output and standard error."""
+
+    status: int
+    out: str
+    err: str
+
+
+Call = Callable[..., Outcome]
+
+
+def process(*arguments: object, folder: Path) -> Outcome:
+    """`python -m torchmesh` with the arguments, run in `folder`."""
+    command = [sys.executable, "-m", "torchmesh", *map(str, arguments)]
+    environment = os.environ | {"PYTHONWARNINGS": "error::DeprecationWarning"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def is_one_clear_line(done: Outcome, text: str) -> bool:
+    """Whether it failed as bad input does: status 2, and one line on standard error that contains `text`."""
+    return done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1 and text in done.err
+
+
+def names(folder: Path) -> set[str]:
+    """The names of all that lies below the folder."""
+    return {p.name for p in folder.rglob("*")}
+
+
+def inverted(path: Path) -> int:
+    """Inverted triangles of a file, by meshio and exact rational arithmetic, not by torchmesh."""
+    mesh = meshio.read(path)
+    return sum(double_area(*mesh.points[row, :2]) <= 0 for row in mesh.cells_dict["triangle"])
+
+
+def plate() -> tuple[np.ndarray, np.ndarray]:
+    """The unit square of 10 x 10 cells, the middle 4 x 4 of them cut out."""
+    points, triangles = meshes.grid_arrays(10, 10)
+    inside = (np.abs(points[triangles].mean(1) - 0.5) < 0.2).all(1)
+    used, triangles = np.unique(triangles[~inside], return_inverse=True)
+    return points[used], triangles.reshape(-1, 3)
+
+
+def crossed() -> meshio.Mesh:
+    """A square one of whose corners was pulled through the opposite side: nothing can untangle it."""
+    points, triangles = meshes.grid_arrays(6, 6)
+    points[0] = 1.4
+    return meshio.Mesh(points, [("triangle", triangles)])
+
+
+def write_examples(folder: Path) -> None:
+    """The files that the examples of the help texts name."""
+    for name in ("tangled.vtu", "tangled.vtk", "tangled.msh"):
+        write(folder / name, meshes.moved_hole())
+    for part in ("a", "b"):
+        (folder / "in" / part).mkdir(parents=True)
+        write(folder / "in" / part / "mesh.vtu", meshes.jittered())
+    write(folder / "better.vtu", meshes.equilateral())
+    points, triangles = plate()
+    write(folder / "plate.msh", MeshBatch.from_arrays(points, triangles))
+    on_hole = (np.abs(points - 0.5).max(1) < 0.21)[:, None]
+    displacement = on_hole * np.array([[0.1, 0.05, 0.0]])
+    meshio.Mesh(points, [("triangle", triangles)], point_data={"displacement": displacement, "u": points[:, 0]}).write(
+        folder / "plate.vtu"
+    )
+
+
+def write_bad(folder: Path) -> None:
+    """Files that cannot be read, or that cannot be improved to a valid mesh."""
+    crossed().write(folder / "crossed.vtu")
+    (folder / "empty.vtu").touch()
+    (folder / "folder.vtu").mkdir()
+    (folder / "unknown.foo").write_text("hello\n")
+    (folder / "broken.vtu").write_bytes((folder / "tangled.vtu").read_bytes()[:700])
+    points, triangles = meshes.grid_arrays(3, 3)
+    points = np.pad(points, ((0, 0), (0, 1)))
+    points[5, 1] = math.nan
+    meshio.Mesh(points, [("triangle", triangles)]).write(folder / "nan.vtk", file_format="vtk42", binary=False)
+    meshio.Mesh(points[:4], [("quad", np.array([[0, 1, 2, 3]]))]).write(folder / "quads.vtu")

@@ -1,0 +1,200 @@
+"""`torchmesh improve`: its files, its words and its exit status, as a process or called in this process."""
+
+import contextlib
+import json
+import os
+import signal
+from pathlib import Path
+
+import meshes
+import meshio
+import numpy as np
+import pytest
+from children import started
+from command_line import Outcome, inverted, names, process
+
+from torchmesh import quality, read, write
+from torchmesh.commands import console
+from torchmesh.errors import MeshIOError
+
+
+def test_improve_writes_a_valid_mesh_a_report_and_a_picture(folder):
+    before = names(folder)
+    done = process("improve", "tangled.vtk", "out.vtu", "--report", "r.json", "--plot", "p.png", folder=folder)
+    assert (done.status, done.err) == (0, "")
+    assert names(folder) - before == {"out.vtu", "r.json", "p.png"}
+    assert inverted(folder / "tangled.vtk") > 5
+    assert inverted(folder / "out.vtu") == 0
+    for word in ("before", "after", "triangles", "inverted", "IMR average", "IMR maximum", "minimum angle"):
+        assert word in done.out
+    assert (folder / "p.png").stat().st_size > 50_000
+    report = json.loads((folder / "r.json").read_text(), parse_constant=pytest.fail)
+    assert set(report) >= {
+        "torchmesh", "input", "output", "method", "topology", "boundary", "beta", "seconds", "before", "after",
+        "status", "message", "valid", "steps",
+    }  # fmt: skip
+    assert (report["input"], report["output"]) == ("tangled.vtk", "out.vtu")
+    assert (report["method"], report["topology"], report["beta"]) == ("default", "flip", None)
+    assert report["valid"] is True
+    kinds = {
+        "triangles": int, "vertices": int, "inverted": int, "imr_average": float, "imr_maximum": float,
+        "minimum_angle": float,
+    }  # fmt: skip
+    for state in ("before", "after"):
+        assert {key: type(value) for key, value in report[state].items()} == kinds
+    assert report["before"]["inverted"] == inverted(folder / "tangled.vtk")
+    assert report["after"]["inverted"] == 0
+    assert report["before"]["triangles"] == report["after"]["triangles"]
+    assert report["steps"][0]["inverted"] == report["before"]["inverted"]
+    assert report["steps"][-1]["mean"] == pytest.approx(report["after"]["imr_average"])
+    for step in report["steps"]:
+        assert set(step) >= {"stage", "mean", "max", "inverted", "flips", "iterations", "seconds"}
+
+
+def test_improve_says_so_when_a_mesh_cannot_be_made_valid(folder):
+    done = process("improve", "crossed.vtu", "out.vtu", "--report", "r.json", folder=folder)
+    left = inverted(folder / "out.vtu")
+    assert done.status == 1
+    assert left > 0
+    last = done.err.splitlines()[-1]
+    assert last.startswith("not valid: ")
+    assert f" {left} inverted triangle" in last
+    assert "out.vtu" in last
+    assert "Traceback" not in done.err
+    report = json.loads((folder / "r.json").read_text())
+    assert report["valid"] is False
+    assert report["after"]["inverted"] == left
+
+
+def test_improve_keeps_triangles_when_told(call, folder):
+    assert call("improve", "tangled.vtu", "out.vtu", "--topology", "keep").status == 0
+    assert (read(folder / "out.vtu").triangles == read(folder / "tangled.vtu").triangles).all()
+
+
+def test_the_fast_method_polishes_nothing(call, folder):
+    assert call("improve", "tangled.vtu", "out.vtu", "--method", "fast", "--report", "r.json").status == 0
+    assert "polish" not in (folder / "r.json").read_text()
+
+
+def test_paper_method_with_an_absolute_beta(call, folder):
+    done = call("improve", "tangled.vtu", "out.vtu", "--method", "paper", "--beta", "0.01", "--report", "r.json")
+    assert done.status == 0
+    report = json.loads((folder / "r.json").read_text())
+    assert (report["method"], report["beta"]) == ("paper", 0.01)
+    assert "untangle-beta" in {step["stage"] for step in report["steps"]}
+
+
+def test_improve_can_write_over_its_input(call, folder):
+    assert call("improve", "tangled.vtu", "tangled.vtu").status == 0
+    assert inverted(folder / "tangled.vtu") == 0
+
+
+def test_quiet_says_nothing(call):
+    assert call("improve", "tangled.vtu", "out.vtu", "--quiet") == Outcome(0, "", "")
+    with console.progress(quiet=True) as show:
+        assert show is None
+
+
+def test_a_warning_is_one_line_on_standard_error(call, folder):
+    mesh = meshio.read(folder / "tangled.vtu")
+    points = np.concatenate([mesh.points, [[99.0, 99.0, 0.0]]])
+    meshio.Mesh(points, [("triangle", mesh.cells_dict["triangle"][:, ::-1])]).write(folder / "odd.vtu")
+    done = call("improve", "odd.vtu", "out.vtu")
+    assert done.status == 0
+    lines = done.err.splitlines()
+    assert len(lines) == 2
+    assert all(line.startswith("warning: odd.vtu: ") for line in lines)
+    assert any("clockwise" in line for line in lines)
+    assert any("belong to no" in line for line in lines)
+    assert call("quality", "odd.vtu", "odd.vtu").err == done.err, "each is said once"
+
+
+@pytest.mark.parametrize(
+    "failing", ["torchmesh.batches.file_improvement.write_series", "torchmesh.pictures.pictures.before_after"]
+)
+def test_all_files_appear_or_none(call, folder, monkeypatch, failing):
+    def fail(*_, **__):
+        raise MeshIOError("out.vtu: cannot be written: No space left on device")
+
+    before = names(folder)
+    monkeypatch.setattr(failing, fail)
+    done = call("improve", "tangled.vtu", "out.vtu", "--report", "r.json", "--plot", "p.png")
+    assert (done.status, done.err) == (2, "error: out.vtu: cannot be written: No space left on device\n")
+    assert names(folder) == before
+
+
+def terminal(
+    arguments: list[str], folder: Path, interrupt_at: bytes | None = None, sigint_ignored: bool = False
+) -> tuple[int, bytes, str]:
+    """Run with standard error on a terminal of its own: exit status, what the terminal got, standard output.
+
+    interrupt_at    send SIGINT when the terminal has got this text
+    sigint_ignored  start the process with SIGINT ignored
+    """
+    import pty
+
+    ours, theirs = pty.openpty()
+    with started("-m", "torchmesh", *arguments, cwd=folder, stderr=theirs, sigint_ignored=sigint_ignored) as child:
+        os.close(theirs)
+        shown = b""
+        with contextlib.suppress(OSError):  # raised where the terminal's other end is closed
+            while chunk := os.read(ours, 4096):
+                shown += chunk
+                if interrupt_at and interrupt_at in shown:
+                    child.send_signal(signal.SIGINT)
+                    interrupt_at = None
+        os.close(ours)
+        out, _ = child.communicate(timeout=60)
+    assert interrupt_at is None, "the text never came, so that nothing was interrupted"
+    return child.returncode, shown, out
+
+
+needs_terminal = pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals here")
+
+
+@needs_terminal
+def test_live_progress_on_a_terminal(folder):
+    write(folder / "large.vtu", meshes.disturbed(meshes.delaunay(3000), 0.05, seed=1))
+    status, shown, out = terminal(["improve", "large.vtu", "out.vtu"], folder)
+    assert status == 0
+    assert b"inverted, iteration" in shown
+    assert b"energy" in shown
+    assert "inverted" not in shown.decode().rsplit("\r\x1b[1A\x1b[2K", 1)[-1], "it is cleared at the end"
+    assert "\x1b" not in out, "the table in a pipe is plain text"
+
+
+@needs_terminal
+def test_an_interrupt_leaves_nothing_behind(folder):
+    """The work is left in its midst: no table is printed, and no file is new or changed."""
+    write(folder / "large.vtu", meshes.disturbed(meshes.delaunay(20_000), 0.05, seed=1))
+    (folder / "out.vtu").write_text("what was there before")
+    before = names(folder)
+    arguments = ["improve", "large.vtu", "out.vtu", "--report", "r.json", "--plot", "p.png"]
+    status, shown, out = terminal(arguments, folder, interrupt_at=b" inverted")
+    assert (status, out) == (130, "")
+    assert b"interrupted" in shown
+    assert b"Traceback" not in shown
+    assert names(folder) == before
+    assert (folder / "out.vtu").read_text() == "what was there before"
+
+
+@needs_terminal
+def test_an_interrupt_does_not_end_a_process_that_was_started_to_ignore_it(folder):
+    """As jobs in the background of a script are: the interrupt is meant for another program."""
+    write(folder / "random.vtu", meshes.disturbed(meshes.delaunay(300), 0.05, seed=1))
+    status, shown, _ = terminal(["improve", "random.vtu", "out.vtu"], folder, b" inverted", sigint_ignored=True)
+    assert status == 0
+    assert b"interrupted" not in shown
+    assert inverted(folder / "out.vtu") == 0
+
+
+def test_boundaries_slide_on_request(call, folder):
+    done = call("improve", "tangled.vtk", "out.vtk", "--boundary", "slide", "--report", "r.json")
+    assert (done.status, done.err) == (0, "")
+    before, after = read(folder / "tangled.vtk"), read(folder / "out.vtk")
+    assert not np.array_equal(before.points[before.fixed], after.points[before.fixed])
+    assert json.loads((folder / "r.json").read_text())["boundary"] == "slide"
+    assert call("improve", "tangled.vtk", "kept.vtk").status == 0
+    kept = read(folder / "kept.vtk")
+    assert np.array_equal(before.points[before.fixed], kept.points[before.fixed])
+    assert quality(after).mean.item() < quality(kept).mean.item()

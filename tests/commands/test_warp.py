@@ -1,0 +1,128 @@
+"""`torchmesh warp`: how the boundary and the interior move, at once and in steps."""
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from command_line import inverted, is_one_clear_line, plate, process
+
+from torchmesh import read
+
+
+def test_warp_lists_the_parts_of_the_boundary(call):
+    done = call("warp", "plate.msh", "--list")
+    assert (done.status, done.err) == (0, "")
+    rows = [line.split() for line in done.out.splitlines()]
+    assert ["outer:1", "40", "0", "1", "0", "1"] in rows
+    assert ["hole:1", "16", "0.3", "0.7", "0.3", "0.7"] in rows
+
+
+def moved(folder: Path) -> np.ndarray:
+    """(V, 2) how far each vertex of plate.msh went on its way to out.vtu."""
+    return (read(folder / "out.vtu").points - read(folder / "plate.msh").points).numpy()
+
+
+def parts() -> tuple[np.ndarray, np.ndarray]:
+    """(V,) bool each: the vertices of the hole, and those of the outer loop."""
+    points, _ = plate()
+    return np.abs(points - 0.5).max(1) < 0.21, np.abs(points - 0.5).max(1) > 0.49
+
+
+def test_warp_moves_a_hole_and_carries_the_interior_along(folder):
+    done = process("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0.05", folder=folder)
+    assert (done.status, done.err) == (0, "")
+    by, (hole, outer) = moved(folder), parts()
+    assert by[hole] == pytest.approx(np.tile([0.1, 0.05], (16, 1)))
+    assert (by[outer] == 0).all()
+    between = by[~hole & ~outer]
+    assert (between[:, 0] > 0).all()
+    assert (between[:, 0] < 0.1).all()
+    assert (read(folder / "out.vtu").triangles == read(folder / "plate.msh").triangles).all()
+
+
+def test_warp_turns_about_the_middle_or_a_point(call, folder):
+    points, (hole, _) = plate()[0], parts()
+    assert call("warp", "plate.msh", "out.vtu", "--rotate", "hole:1:90").status == 0
+    x, y = points[hole].T - 0.5
+    assert points[hole] + moved(folder)[hole] == pytest.approx(np.stack([0.5 - y, 0.5 + x], 1))
+    assert call("warp", "plate.msh", "out.vtu", "--rotate", "hole:1:90:0.5,0.4").status == 0
+    x, y = (points[hole] - [0.5, 0.4]).T
+    assert points[hole] + moved(folder)[hole] == pytest.approx(np.stack([0.5 - y, 0.4 + x], 1))
+
+
+def test_warp_moves_what_lies_in_a_box_and_moves_add_up(call, folder):
+    box = ["--move", "-1,-1,0.001,2:-0.1,0", "--move", "outer:1:0,0.2"]
+    assert call("warp", "plate.msh", "out.vtu", *box).status == 0
+    points, (hole, outer) = plate()[0], parts()
+    left = points[:, 0] == 0
+    by = moved(folder)
+    assert by[left] == pytest.approx(np.tile([-0.1, 0.2], (11, 1)))
+    assert by[outer & ~left] == pytest.approx(np.tile([0.0, 0.2], (29, 1)))
+    assert (by[hole] == 0).all()
+
+
+def test_warp_by_a_point_field(call, folder):
+    assert call("warp", "plate.vtu", "out.vtu", "--displacement", "displacement").status == 0
+    hole, outer = parts()
+    assert moved(folder)[hole] == pytest.approx(np.tile([0.1, 0.05], (16, 1)))
+    assert (moved(folder)[outer] == 0).all()
+
+
+def test_a_warp_that_tangles_says_how_much_and_improve_mends_it(call, folder):
+    far = ["--move", "hole:1:0.2,0", "--rotate", "hole:1:45"]
+    done = call("warp", "plate.msh", "out.vtu", *far)
+    count = inverted(folder / "out.vtu")
+    assert count > 0
+    assert done.status == 0, "warp does not promise a valid mesh"
+    assert done.err == f"{count} inverted triangles in out.vtu; to mend: torchmesh improve out.vtu OUT\n"
+    done = call("warp", "plate.msh", "out.vtu", *far, "--improve")
+    assert (done.status, done.err) == (0, "")
+    assert inverted(folder / "out.vtu") == 0
+    assert [word in done.out for word in ("undeformed", "warped", "improved")] == [True] * 3
+
+
+@pytest.mark.parametrize("steps", ["auto", "3"])
+def test_a_warp_in_steps_never_tangles(call, folder, steps):
+    done = call("warp", "plate.msh", "out.vtu", "--rotate", "hole:1:180", "--move", "hole:1:0.1,0", "--steps", steps)
+    assert (done.status, done.err) == (0, "")
+    assert inverted(folder / "out.vtu") == 0
+    assert "arrived in" in done.out
+    assert [word in done.out for word in ("undeformed", "deformed")] == [True] * 2
+    hole, outer = parts()
+    points = plate()[0]
+    assert points[hole] + moved(folder)[hole] == pytest.approx(1 - points[hole] + [0.1, 0.0])
+    assert (moved(folder)[outer] == 0).all()
+
+
+def test_a_warp_in_steps_stops_at_the_wall(call, folder):
+    done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:2,0", "--steps", "auto", "-q")
+    assert done.status == 1
+    assert done.out == ""
+    assert done.err.startswith("not at the goal: out.vtu is valid, but stuck after ")
+    assert "outside the outer loop" in done.err
+    assert inverted(folder / "out.vtu") == 0
+
+
+def test_bad_steps_are_usage_errors(call):
+    for steps in ("0", "-1", "many", "1.5", ""):
+        done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0", f"--steps={steps}")
+        assert done.status == 2
+        assert "expected auto or a number of steps" in done.err
+    done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0", "--steps", "2", "--improve")
+    assert done.status == 2
+    assert "--improve" in done.err
+
+
+def test_warp_by_a_point_field_in_a_plane_of_space(call, folder):
+    points, triangles = plate()
+    wall = np.pad(points, ((0, 0), (1, 0)), constant_values=7.0)
+    hole, outer = parts()
+    fields = {"along": hole[:, None] * [0.0, 0.1, 0.05], "out": hole[:, None] * [0.1, 0.0, 0.05]}
+    meshio.Mesh(wall, [("triangle", triangles)], point_data=fields).write(folder / "wall.vtu")
+    assert call("warp", "wall.vtu", "out.vtu", "--displacement", "along").status == 0
+    by = meshio.read(folder / "out.vtu").points - wall
+    assert by[hole] == pytest.approx(np.tile([0.0, 0.1, 0.05], (16, 1)), abs=1e-12)
+    assert by[outer] == pytest.approx(0)
+    done = call("warp", "wall.vtu", "out.vtu", "--displacement", "out")
+    assert is_one_clear_line(done, "it leaves the plane")

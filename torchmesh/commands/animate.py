@@ -1,0 +1,60 @@
+"""`torchmesh animate`: a film of a mesh during its improvement.
+
+Nothing here imports torch before it is needed.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import console
+from .observation import observe
+from .shared_options import (
+    BeforeArgument,
+    BetaOption,
+    Boundary,
+    BoundaryOption,
+    Method,
+    MethodOption,
+    QuietOption,
+    TitleOption,
+    Topology,
+    TopologyOption,
+    improve_options,
+)
+from .targets import check_distinct
+
+EXAMPLES = ("torchmesh animate tangled.vtu untangling.gif --title 'A hole that moved'",)
+
+
+def animate(
+    source: BeforeArgument,
+    film: Annotated[Path, typer.Argument(metavar="FILM", help="Film to write: .gif or .mp4.", show_default=False)],
+    title: TitleOption = None,
+    method: MethodOption = Method.default,
+    topology: TopologyOption = Topology.flip,
+    boundary: BoundaryOption = Boundary.fixed,
+    beta: BetaOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Improve a mesh and write a film of it: the whole mesh and its worst place, stage by stage.
+
+    Between two stages that differ in the vertices' positions only, the vertices glide in straight lines. A gif needs
+    matplotlib, an mp4 also imageio-ffmpeg (pip install 'torchmesh-untangle\\[video]'). No mesh is written.
+
+    The exit status is 1 if the mesh ends with inverted triangles.
+    """
+    from ..batches.file_improvement import open_mesh
+    from ..pictures.films import animate as write_film
+    from ..pictures.films import check_film_path
+
+    options = improve_options(method, topology, beta, boundary)
+    check_distinct(source, film)
+    check_film_path(film)
+    observed = observe(open_mesh(source), options, quiet)
+    write_film(film, observed.stages, title=title or source.name)
+    if not quiet:
+        stages = console.counted(len(observed.stages), "stage")
+        typer.echo(f"{film}: {stages}, {film.stat().st_size / 1e6:.1f} MB")
+    return console.verdict("left", observed.report.quality, observed.report.messages[0])

@@ -1,0 +1,139 @@
+"""`torchmesh improve`: untangle one mesh file and give its triangles good shapes.
+
+Nothing here imports torch before it is needed.
+"""
+
+import contextlib
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from . import console
+from .shared_options import (
+    BetaOption,
+    Boundary,
+    BoundaryOption,
+    InArgument,
+    Method,
+    MethodOption,
+    QuietOption,
+    ThreadsOption,
+    Topology,
+    TopologyOption,
+    improve_options,
+    use_threads,
+)
+from .targets import check_distinct, check_mesh_target
+
+if TYPE_CHECKING:
+    from ..batches.file_improvement import ImprovedFile
+
+EXAMPLES = (
+    "torchmesh improve tangled.vtu better.vtu",
+    "torchmesh improve tangled.msh better.vtu --plot picture.png --report report.json",
+    "torchmesh improve tangled.vtk better.vtk --topology keep",
+    "torchmesh improve tangled.vtk better.vtk --boundary slide",
+    "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
+)
+
+
+def improve(
+    source: InArgument,
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="Mesh file to write; fields, groups and lines of IN come along.", show_default=False
+        ),
+    ],
+    method: MethodOption = Method.default,
+    topology: TopologyOption = Topology.flip,
+    boundary: BoundaryOption = Boundary.fixed,
+    beta: BetaOption = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png", help="Draw before and after; also .pdf and .svg. Needs matplotlib.", show_default=False
+        ),
+    ] = None,
+    threads: ThreadsOption = 1,
+    quiet: QuietOption = False,
+) -> int:
+    """Untangle a mesh and give its triangles good shapes.
+
+    The boundary, region interfaces and vertices marked by the point field 'fixed' stay where they are, unless
+    --boundary slide is given. OUT is written
+    in any case, whole; if it still has inverted triangles, standard error says so and the exit status is 1.
+    """
+    from ..batches.file_improvement import improve_series, open_mesh
+
+    options = improve_options(method, topology, beta, boundary)
+    _check_targets(source, target, report, plot)
+    use_threads(threads)
+
+    started = time.perf_counter()
+    given = open_mesh(source)
+    with console.progress(quiet) as show:
+        (improved,) = improve_series([given], options, progress=show)
+        seconds = time.perf_counter() - started
+        columns = {
+            "before": console.record(given.batch, improved.before),
+            "after": console.record(improved.meshes[0], improved.report.quality),
+        }
+        document = {
+            "torchmesh": console.version(),
+            "input": str(source),
+            "output": str(target),
+            "method": method.value,
+            "topology": topology.value,
+            "boundary": boundary.value,
+            "beta": beta,
+            "seconds": seconds,
+            **columns,
+            **{key: value for key, value in improved.report.to_dict()[0].items() if key != "mesh"},
+        }
+        _write(improved, target, report, document, plot, f"{source.name}: before and after")
+    if not quiet:
+        console.print_comparison(f"{target}, {seconds:.2f} s", columns)
+    return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0])
+
+
+def _check_targets(source: Path, target: Path, report: Path | None, plot: Path | None) -> None:
+    """Raises UsageError, MeshIOError or MissingDependencyError, before the work, for what cannot be written.
+
+    `target` alone may be `source`.
+    """
+    from ..files.atomic import check_target
+    from ..pictures.pictures import check_picture_path
+
+    check_distinct(source, report, plot)
+    check_distinct(target, report, plot)
+    check_mesh_target(target)
+    if report is not None:
+        check_target(report)
+    if plot is not None:
+        check_picture_path(plot)
+
+
+def _write(
+    improved: "ImprovedFile",
+    target: Path,
+    report: Path | None,
+    document: dict[str, Any],
+    plot: Path | None,
+    title: str,
+) -> None:
+    """Writes the mesh, its report and its picture: all files appear, or none does."""
+    from ..files.atomic import replacing
+    from ..pictures.pictures import before_after
+
+    with contextlib.ExitStack() as files:
+        if report is not None:
+            files.enter_context(replacing(report)).write_text(console.json_text(document), encoding="utf-8")
+        if plot is not None:
+            before_after(files.enter_context(replacing(plot)), improved.given.batch, improved.meshes[0], title)
+        improved.write(target)

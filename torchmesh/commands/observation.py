@@ -1,0 +1,51 @@
+"""The stages of a mesh's improvement, for the commands that show them.
+
+Nothing here imports torch before it is needed.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from . import console
+from .shared_options import use_threads
+
+if TYPE_CHECKING:
+    from ..batches.file_improvement import ImprovedFile
+    from ..files.time_series import Series
+    from ..improving.options import ImproveOptions
+    from ..improving.report import Report
+    from ..mesh.batch import MeshBatch
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """An improvement that was watched.
+
+    stages    the name of each stage, and the mesh after it; "initial" and the mesh as given come first
+    improved  the file with the mesh at the end
+    """
+
+    stages: "list[tuple[str, MeshBatch]]"
+    improved: "ImprovedFile"
+
+    @property
+    def after(self) -> "MeshBatch":
+        """The mesh at the end."""
+        return self.improved.meshes[0]
+
+    @property
+    def report(self) -> "Report":
+        return self.improved.report
+
+
+def observe(given: "Series", options: "ImproveOptions", quiet: bool) -> Observed:
+    """Improves the mesh of a file as `torchmesh improve` does, with the same result, and keeps the stages."""
+    from ..batches.file_improvement import improve_series
+
+    use_threads(1)
+    stages: list[tuple[str, MeshBatch]] = []
+    with console.progress(quiet) as show:
+        (improved,) = improve_series(
+            [given], options, progress=show, observe=lambda stage, batch: stages.append((stage, batch))
+        )
+    return Observed(stages, improved)

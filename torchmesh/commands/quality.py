@@ -1,0 +1,233 @@
+"""`torchmesh quality`: measure mesh files, as tables or as JSON.
+
+Nothing here imports torch or rich before it is needed.
+"""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from . import console
+from .errors import UsageError
+from .shared_options import use_threads
+
+if TYPE_CHECKING:
+    from ..files.mesh_files import Source
+    from ..mesh.batch import MeshBatch
+    from ..mesh.measure import Quality
+    from ..remeshing.sizing import Sizes
+
+EXAMPLES = (
+    "torchmesh quality tangled.vtu better.vtu",
+    "torchmesh quality tangled.vtu --worst 3",
+    "torchmesh quality better.vtu --metrics minimum_angle,scaled_jacobian,aspect_ratio",
+    "torchmesh quality better.vtu --sizes boundary",
+    "torchmesh quality better.vtu --json",
+)
+
+
+def quality(
+    sources: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Mesh files.", show_default=False)],
+    worst: Annotated[int, typer.Option(min=0, help="How many of the worst triangles to list for each file.")] = 10,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Also show how these metrics of the Verdict manual are spread: minimum, percentiles, maximum, mean. "
+            "'all', or some of area, inverse_mean_ratio, mean_ratio, shape, scaled_jacobian, condition, aspect_ratio, "
+            "radius_ratio, edge_ratio, minimum_angle, maximum_angle, equiangle_skew.",
+            show_default=False,
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZES",
+            help="Also show edge lengths over the lengths wanted: 'boundary' (the boundary's, continued inwards), "
+            "'uniform', a number in the file's unit of length, or the name of a point field that holds them.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON list instead of tables; null stands for infinite.")
+    ] = False,
+) -> int:
+    """Measure meshes: inverted triangles, shapes, and where the worst ones are.
+
+    IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0. The worst are
+    the inverted triangles, largest first, then those of the highest IMR. The exit status is 1 if any triangle of any
+    file is inverted (an area of zero included).
+    """
+    from ..errors import MeshError
+    from ..files.mesh_files import Source
+
+    names = _metric_names(metrics)
+    use_threads(1)
+    records, unread = [], 0
+    for path in sources:
+        try:
+            source = Source.open(path)
+        except (MeshError, OSError) as error:
+            console.say(f"error: {error}")
+            unread += 1
+            continue
+        records.append(_record(source, worst, names, sizes))
+    if as_json:
+        typer.echo(console.json_text(records), nl=False)
+    elif records:
+        _print(records)
+    if unread:
+        return 2
+    return int(any(record["inverted"] for record in records))
+
+
+def _metric_names(option: str | None) -> list[str]:
+    """The names that `--metrics` lists; raises UsageError for one that does not exist."""
+    from ..mesh.metrics import METRICS
+
+    names = [] if option is None else list(METRICS) if option == "all" else option.split(",")
+    for name in names:
+        if name not in METRICS:
+            raise UsageError(f"--metrics: there is no {name!r}; there are all, {', '.join(METRICS)}")
+    return names
+
+
+# --- measuring ---------------------------------------------------------------------------------------
+
+
+def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -> dict[str, Any]:
+    """All that was asked about one file, as plain values."""
+    from ..mesh.measure import quality as measure
+    from ..mesh.metrics import evaluate
+
+    mesh = source.mesh
+    q = measure(mesh)
+    record = {"file": str(source.path), **console.record(mesh, q), "worst": _worst(mesh, q, worst)}
+    if sizes is not None:
+        record["edge_length_over_size"] = _size_record(mesh, _sizes_wanted(sizes, source))
+    if names:
+        record["metrics"] = {name: s.records()[0] for name, s in evaluate(mesh, names).items()}
+    return record
+
+
+def _worst(mesh: "MeshBatch", q: "Quality", count: int) -> list[dict[str, Any]]:
+    """The `count` worst triangles: inverted ones, largest first, then those of the highest IMR."""
+    import torch
+
+    from ..mesh.batch import lift
+
+    # Inverted triangles rank by their area, and far above all others, which rank by their shape.
+    size = -q.area / q.area.abs().max().clamp_min(1e-300)
+    rank = torch.where(q.upright, -1 / q.inverse_mean_ratio, 1 + size)
+    rows = rank.argsort(descending=True, stable=True)[:count]
+    centroids = lift(mesh)[mesh.triangles[rows]].mean(1)
+    flat = bool((mesh.frames[0, 0, 2] == 0) & (mesh.frames[0, 1:, 2] == 0).all())
+    return [
+        {
+            "row": row,
+            "inverted": not bool(q.upright[row]),
+            "imr": float(q.inverse_mean_ratio[row]),
+            "area": float(q.area[row]),
+            "centroid": centroid[:2] if flat else centroid,
+        }
+        for row, centroid in zip(rows.tolist(), centroids.tolist(), strict=True)
+    ]
+
+
+def _size_record(mesh: "MeshBatch", sizes: "Sizes") -> dict[str, float]:
+    """Edge lengths over the sizes wanted; 1 is what was asked for."""
+    from ..remeshing.sizing import size_conformity
+
+    found = size_conformity(mesh, sizes)
+    return {"mean": float(found.mean[0]), "p5": float(found.low[0]), "p95": float(found.high[0])}
+
+
+def _sizes_wanted(text: str, source: "Source") -> "Sizes":
+    """The sizes that `--sizes` names for a file; raises UsageError."""
+    import torch
+
+    if text == "boundary":
+        return "boundary"
+    if text == "uniform":
+        return "uniform"
+    try:
+        length = float(text)
+    except ValueError:
+        return _size_field(text, source)
+    if not (math.isfinite(length) and length > 0):
+        raise UsageError(f"--sizes must be a positive length, not {text}")
+    return torch.full((len(source.mesh.points),), length, dtype=torch.float64)
+
+
+def _size_field(name: str, source: "Source") -> "Sizes":
+    import torch
+
+    fields = source.document.mesh.point_data
+    if name not in fields:
+        known = f"it has {', '.join(map(repr, sorted(fields)))}" if fields else "it has none"
+        raise UsageError(
+            f"--sizes {name}: neither 'boundary', 'uniform', a number nor a point field of {source.path}; {known}"
+        )
+    return torch.as_tensor(fields[name]).reshape(len(fields[name]), -1)[:, 0]
+
+
+# --- tables ------------------------------------------------------------------------------------------
+
+
+def _print(records: list[dict[str, Any]]) -> None:
+    """A table with a row for each file, then the tables of metrics, then the worst triangles of each file."""
+    console.stdout().print(_files_table(records))
+    for record in records:
+        if record.get("metrics"):
+            console.stdout().print(_metrics_table(record))
+    for record in records:
+        if record["worst"]:
+            console.stdout().print(_worst_table(record))
+
+
+def _files_table(records: list[dict[str, Any]]) -> Any:
+    from rich.text import Text
+
+    table = console.table()
+    table.add_column("file", overflow="fold")
+    for name in ("triangles", "inverted", "IMR average", "IMR maximum", "minimum angle"):
+        table.add_column(name, justify="right")
+    sized = "edge_length_over_size" in records[0]
+    if sized:
+        table.add_column("edge length / size: mean (5 - 95 %)", justify="right")
+    for r in records:
+        numbers = (r[k] for k in ("triangles", "inverted", "imr_average", "imr_maximum", "minimum_angle"))
+        cells = [console.number(value) for value in numbers]
+        if sized:
+            mean, low, high = (f"{r['edge_length_over_size'][k]:.2f}" for k in ("mean", "p5", "p95"))
+            cells.append(f"{mean} ({low} - {high})")
+        table.add_row(Text(r["file"]), *cells, style="red" if r["inverted"] else None)
+    return table
+
+
+def _metrics_table(record: dict[str, Any]) -> Any:
+    """A row for each metric."""
+    table = console.table(f"metrics of {record['file']}")
+    table.add_column("metric")
+    percents = [name for name in next(iter(record["metrics"].values())) if name.startswith("p")]
+    columns = ["min", *percents, "max", "mean"]
+    for name in columns:
+        table.add_column({"p50": "median"}.get(name, name), justify="right")
+    for name, numbers in record["metrics"].items():
+        table.add_row(name, *(console.number(numbers[column]) for column in columns))
+    return table
+
+
+def _worst_table(record: dict[str, Any]) -> Any:
+    """A row for each of the worst triangles."""
+    table = console.table(f"worst triangles of {record['file']}")
+    for name in ("row", "IMR", "area", *"xyz"[: len(record["worst"][0]["centroid"])]):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for w in record["worst"]:
+        centroid = (f"{c:.6g}" for c in w["centroid"])
+        mark = "inverted" if w["inverted"] else ""
+        table.add_row(str(w["row"]), console.number(w["imr"]), f"{w['area']:.4g}", *centroid, mark)
+    return table

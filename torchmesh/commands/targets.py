@@ -1,0 +1,27 @@
+"""Checks of the files that a command will write, made before the work begins."""
+
+import os
+from pathlib import Path
+
+from .errors import UsageError
+
+
+def check_distinct(*paths: Path | None) -> None:
+    """Raises UsageError if two of the paths name one file; None stands for a file that is not wanted."""
+    taken: set[str] = set()
+    for path in paths:
+        if path is None:
+            continue
+        real = os.path.realpath(path)
+        if real in taken:
+            raise UsageError(f"{path} is named twice: each file needs its own name")
+        taken.add(real)
+
+
+def check_mesh_target(target: Path) -> None:
+    """Raises MeshIOError unless a mesh file of this name can be written."""
+    from ..files.atomic import check_target
+    from ..files.formats import format_of
+
+    format_of(target)
+    check_target(target)

@@ -1,0 +1,196 @@
+"""`torchmesh warp`: move parts of a mesh's boundary, and the interior with it.
+
+Nothing here imports torch or rich before it is needed.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from . import console
+from .errors import UsageError
+from .motion_options import Motion, loops
+from .shared_options import InArgument, QuietOption, ThreadsOption, use_threads
+from .targets import check_mesh_target
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..files.time_series import Series
+
+EXAMPLES = (
+    "torchmesh warp plate.msh --list",
+    "torchmesh warp plate.msh moved.vtu --move hole:1:0.5,0",
+    "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --improve",
+    "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --steps auto",
+    "torchmesh warp plate.msh bent.vtu --move 0,0,0.2,1:0,-0.1 --rotate hole:1:30:0.5,0.5",
+    "torchmesh warp plate.vtu moved.vtu --displacement displacement",
+)
+
+
+def warp(
+    source: InArgument,
+    target: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="Mesh file to write; none with --list.", show_default=False)
+    ] = None,
+    list_parts: Annotated[
+        bool,
+        typer.Option("--list", help="List the boundary's loops by name, with their positions, and do nothing else."),
+    ] = False,
+    move: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PART:DX,DY", help="Move a part of the boundary; may be given several times.", show_default=False
+        ),
+    ] = None,
+    rotate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PART:DEG",
+            help="Turn a part counter-clockwise about the middle of its bounding box, or, PART:DEG:X,Y, about a point.",
+            show_default=False,
+        ),
+    ] = None,
+    displacement: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Move the boundary by this point field of IN.", show_default=False),
+    ] = None,
+    improve_too: Annotated[
+        bool, typer.Option("--improve", help="Improve the warped mesh at once, as torchmesh improve does.")
+    ] = False,
+    steps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="auto|N",
+            help="Move in so many steps at least, each so small that nothing tangles; edges may flip.",
+            show_default=False,
+        ),
+    ] = None,
+    threads: ThreadsOption = 1,
+    quiet: QuietOption = False,
+) -> int:
+    """Move parts of a mesh's boundary and carry the interior along (FEMWARP).
+
+    A PART is 'outer:N' or 'hole:N', a loop of the boundary as --list names it, or 'X0,Y0,X1,Y1', the boundary and
+    other fixed vertices inside that box of the undeformed mesh. Turns come first, then all moves and the displacement
+    field add up; what is not named stays.
+
+    A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps none
+    inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit status
+    is 1.
+    """
+    asked = bool(move or rotate or displacement)
+    if list_parts:
+        if target or asked or improve_too:
+            raise UsageError("--list goes with IN alone")
+        return _list(source)
+    if target is None:
+        raise UsageError("Missing argument 'OUT', the file to write")
+    if not asked:
+        raise UsageError("nothing to move: give --move, --rotate or --displacement (--list names the parts)")
+    motion = Motion.of(rotate or [], move or [], displacement)
+    if steps is not None:
+        _check_steps(steps, improve_too)
+    check_mesh_target(target)
+    use_threads(threads)
+
+    from ..batches.file_improvement import open_mesh
+
+    given = open_mesh(source)
+    boundary = motion.apply(given.sources[0])
+    if steps is not None:
+        return _deform(given, boundary, steps, target, quiet)
+    return _warp(given, boundary, improve_too, target, quiet)
+
+
+def _list(path: Path) -> int:
+    """Prints the loops of the boundary and the boxes that they fill."""
+    from ..files.mesh_files import read
+
+    use_threads(1)
+    mesh = read(path)
+    table = console.table()
+    table.add_column("part")
+    for name in ("vertices", "x from", "x to", "y from", "y to"):
+        table.add_column(name, justify="right")
+    for name, loop in loops(mesh).items():
+        (x0, y0), (x1, y1) = mesh.points[loop].amin(0).tolist(), mesh.points[loop].amax(0).tolist()
+        table.add_row(name, f"{len(loop):,}", *(f"{v:.6g}" for v in (x0, x1, y0, y1)))
+    console.stdout().print(table)
+    return 0
+
+
+def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, quiet: bool) -> int:
+    """Warps in one step, improves if asked, writes; returns the exit status."""
+    from ..batches.file_improvement import improve_series
+    from ..files.time_series import write_series
+    from ..improving.options import ImproveOptions
+    from ..mesh.measure import quality
+    from ..warping.femwarp import femwarp
+
+    mesh = given.batch
+    with _file_named(given):
+        warped = femwarp(mesh, boundary)
+    after = quality(warped)
+    columns = {"undeformed": console.record(mesh, quality(mesh)), "warped": console.record(warped, after)}
+    if not improve_too:
+        write_series(target, warped, given)
+    else:
+        with console.progress(quiet) as show:
+            (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
+        after = improved.report.quality
+        columns["improved"] = console.record(improved.meshes[0], after)
+        improved.write(target)
+    if not quiet:
+        console.print_comparison(str(target), columns)
+    if improve_too:
+        return console.verdict(f"in {target}", after, improved.report.messages[0])
+    inverted = int(after.inverted.sum())
+    if inverted:
+        console.say(
+            f"{console.counted(inverted, 'inverted triangle')} in {target}; to mend: torchmesh improve {target} OUT"
+        )
+    return 0
+
+
+def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, quiet: bool) -> int:
+    """Moves in steps that invert nothing, writes, and says how far the boundary got; returns the exit status."""
+    from ..files.time_series import write_series
+    from ..improving.deformation import deform
+    from ..mesh.measure import quality
+    from ..status import Status
+
+    mesh = given.batch
+    with console.progress(quiet) as show, _file_named(given):
+        after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show)
+    write_series(target, after, given)
+    if not quiet:
+        columns = {"undeformed": console.record(mesh, quality(mesh)), "deformed": console.record(after, quality(after))}
+        console.print_comparison(f"{target}, {report.messages[0]}", columns)
+    if int(report.status[0]) == Status.VALID:
+        return 0
+    console.say(f"not at the goal: {target} is valid, but {report.messages[0]}")
+    return 1
+
+
+def _check_steps(steps: str, improve_too: bool) -> None:
+    """Raises UsageError unless `steps` is auto or a number, and stands alone."""
+    if steps != "auto" and not (steps.isascii() and steps.isdigit() and int(steps) > 0):
+        raise UsageError(f"--steps {steps}: expected auto or a number of steps, at least 1")
+    if improve_too:
+        raise UsageError("--steps improves on arrival: leave --improve out")
+
+
+@contextlib.contextmanager
+def _file_named(given: "Series") -> Iterator[None]:
+    """Inside, an InvalidMeshError says which file its mesh comes from."""
+    from ..errors import InvalidMeshError
+
+    try:
+        yield
+    except InvalidMeshError as error:
+        raise InvalidMeshError(f"{given.sources[0].path}: {error}") from None
