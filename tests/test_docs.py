@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import torchmesh
+from experiments.paper import draw_loop
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -76,7 +77,7 @@ def test_the_names_of_the_reference_exist():
 
 
 def test_the_figure_is_what_the_script_draws(tmp_path):
-    subprocess.run([sys.executable, ROOT / "experiments" / "draw_loop.py", tmp_path / "loop.svg"], check=True)
+    draw_loop.main(["--out", str(tmp_path / "loop.svg")])
     assert (tmp_path / "loop.svg").read_text() == (DOCS / "loop.svg").read_text()
 
 

@@ -1,5 +1,6 @@
-"""What `make bench` times: kernels, L-BFGS iterations, flips, `improve` alone and in a batch; nothing is asserted."""
+"""What `make bench` times: kernels, L-BFGS iterations, flips, `improve` alone and in a batch.  Nothing is asserted."""
 
+import meshes
 import numpy as np
 import pytest
 import torch
@@ -21,14 +22,11 @@ from torchmesh.optimising.objective import MeshObjective, pack
 
 
 def grid(cells: int, jitter: float = 0.15, seed: int = 0) -> tm.MeshBatch:
-    """A square of 2 cells^2 triangles with its interior vertices off their places."""
-    at = np.stack(np.meshgrid(np.arange(cells + 1), np.arange(cells + 1), indexing="ij"), -1).reshape(-1, 2) / cells
-    inside = ((at > 0) & (at < 1)).all(1)
-    at = at + inside[:, None] * np.random.default_rng(seed).uniform(-jitter, jitter, at.shape) / cells
-    corner = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
-    up = np.stack([corner, corner + cells + 1, corner + cells + 2], 1)
-    down = np.stack([corner, corner + cells + 2, corner + 1], 1)
-    return tm.MeshBatch.from_arrays(at, np.concatenate([up, down]))
+    """A square of 2 cells^2 triangles whose interior vertices are moved by up to `jitter` cells along either axis."""
+    points, triangles = meshes.grid_arrays(cells, cells)
+    inside = ((points > 0) & (points < 1)).all(1)
+    noise = np.random.default_rng(seed).uniform(-jitter, jitter, points.shape) / cells
+    return tm.MeshBatch.from_arrays(points + inside[:, None] * noise, triangles)
 
 
 def objective_of(batch: tm.MeshBatch) -> tuple[MeshObjective, torch.Tensor]:
@@ -51,9 +49,9 @@ def test_kernel(benchmark, cells, energy):
     benchmark(energy_and_forces, coordinates, pieces_of(objective.rows, energy, equilateral()))
 
 
-@pytest.mark.parametrize(("cells", "meshes"), [(33, 1), (33, 60), (440, 1)])
-def test_ten_lbfgs_iterations(benchmark, cells, meshes):
-    objective, unknowns = objective_of(tm.join([grid(cells, seed=seed) for seed in range(meshes)]))
+@pytest.mark.parametrize(("cells", "count"), [(33, 1), (33, 60), (440, 1)])
+def test_ten_lbfgs_iterations(benchmark, cells, count):
+    objective, unknowns = objective_of(tm.join([grid(cells, seed=seed) for seed in range(count)]))
     options = LbfgsOptions(max_iterations=10, energy_tolerance=0, gradient_tolerance=0)
     benchmark.pedantic(minimise, (objective, unknowns, options), rounds=5, warmup_rounds=1)
 
@@ -71,8 +69,8 @@ def test_improve_one(benchmark, name):
     benchmark.pedantic(tm.improve, (tangled,), rounds=3, warmup_rounds=1)
 
 
-@pytest.mark.parametrize("meshes", [3, 30])
-def test_improve_batch(benchmark, meshes):
+@pytest.mark.parametrize("count", [3, 30])
+def test_improve_batch(benchmark, count):
     tangled = [moving(name)[1] for name in ("circle", "bar", "gate")]
-    batch = tm.join(tangled * (meshes // 3))
+    batch = tm.join(tangled * (count // 3))
     benchmark.pedantic(tm.improve, (batch,), rounds=2, warmup_rounds=0)

@@ -1,17 +1,10 @@
-"""`torchmesh generate`, and the experiment that learns from what it makes."""
-
-import json
-import subprocess
-import sys
-from pathlib import Path
+"""`torchmesh generate`."""
 
 import pytest
 import torch
 
 import torchmesh as tm
 from torchmesh.commands.main import main
-
-SCRIPT = Path(__file__).parents[2] / "experiments" / "learn_to_move.py"
 
 
 def test_one_file_holds_the_stream(tmp_path, capsys):
@@ -54,14 +47,3 @@ def test_what_cannot_be_made_is_told_and_leaves_nothing(tmp_path, monkeypatch, c
     assert main(["generate", *arguments]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_experiment_learns_three_ways(tmp_path):
-    pytest.importorskip("matplotlib")
-    options = ["--steps", "3", "--meshes", "8", "--triangles", "100", "--batch", "2", "--out", str(tmp_path)]
-    done = subprocess.run([sys.executable, str(SCRIPT), *options], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    record = json.loads((tmp_path / "learn.json").read_text())
-    assert [row["way"] for row in record["last"]] == ["no guard", "untangle loss", "layer"]
-    assert (tmp_path / "learn.md").read_text().strip() == done.stdout.strip()
-    assert (tmp_path / "learn.png").read_bytes().startswith(b"\x89PNG")

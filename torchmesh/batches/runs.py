@@ -32,7 +32,7 @@ from .manifest import FileResult
 from .workers import Crew, LocalWorker, RayWorker, Worker, ray_cluster
 
 # Vertices of a batch: meshes of 2,200 triangles cost 164 ms alone, 44 ms by nine, 37 ms by 30 and by 60;
-# experiments/throughput.py measures it on files.
+# experiments/speed/throughput.py measures it on files.
 BUDGET = 30_000
 
 

@@ -5,9 +5,9 @@
                                |--- untangle-beta, smooth ---> steps 2 and 3 only (the ablation)
                                `--- the default method ------> default
 
-The paper shows its domains as pictures only.  The dimensions, and with them the meshes, are ours; an experiment of
-the repository, make_paper_meshes.py, made them.  The paper's numbers allow to compare kinds and sizes of effects, but
-not digits.
+The paper shows its domains as pictures only.  The dimensions, and with them the meshes, are ours
+(experiments/paper/make_meshes.py made them).  The paper's numbers allow to compare kinds and sizes of effects, but not
+digits.
 """
 
 import math

@@ -166,7 +166,7 @@ def moving(name: Literal["circle", "bar", "gate"]) -> tuple[MeshBatch, MeshBatch
 
     "circle" is a small hole in a long rectangle, moved by four of its diameters; "bar" a thin
     upright hole, moved; "gate" a notch in the outer boundary, pushed in.  The paper shows pictures
-    only: the dimensions are ours (experiments/make_paper_meshes.py).
+    only: the dimensions are ours (experiments/paper/make_meshes.py).
     """
     with resources.as_file(resources.files("torchmesh") / "data" / f"{name}.vtk") as path:
         mesh = read(path)

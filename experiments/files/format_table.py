@@ -1,0 +1,99 @@
+"""What each file format keeps: measured by writing, reading, improving and writing again; the README's table.
+
+    python -m experiments.files.format_table
+
+For every format and every feature a small mesh that has the feature is written as a file and read by `tm.read`.  A
+vertex is moved, and `tm.write(..., like=file)` writes the mesh; then the feature is looked for in the result.
+"""
+
+import contextlib
+import io
+import sys
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+import torchmesh as tm
+from experiments.files.features import CELLS, FEATURES, Feature, plain
+from experiments.shared import arguments, tables
+from torchmesh.files import formats
+from torchmesh.files.formats import FORMATS
+
+
+def kept(form: str, feature: Feature, folder: Path) -> bool:
+    """Whether the feature survives a file of the format, and another one written after it."""
+    extension = FORMATS[form].extensions[0]
+    first, second = folder / f"first{extension}", folder / f"second{extension}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            formats.save(first, feature.make(form), None, False)
+            if not feature.there(formats.load(first), tm.read(first)):
+                return False
+        except tm.MeshError:
+            return False
+        tm.write(second, moved(tm.read(first)), like=first)
+        return feature.there(formats.load(second), tm.read(second))
+
+
+def moved(mesh: tm.MeshBatch) -> tm.MeshBatch:
+    """One vertex moves by a ninth of a cell, so that its coordinates are no short decimal fractions."""
+    points = mesh.points.clone()
+    points[CELLS + 2] += 1 / (9 * CELLS)
+    return mesh.with_points(points)
+
+
+def positions(form: str, folder: Path) -> str:
+    """How exactly the coordinates come back."""
+    path = folder / f"exact{FORMATS[form].extensions[0]}"
+    points = np.random.default_rng(0).random((3, 3)) * (1, 1, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        formats.save(path, meshio.Mesh(points, [("triangle", np.array([[0, 1, 2]]))]), None, False)
+        found = tm.read(path).points.double().numpy()
+    order = np.lexsort(found.T), np.lexsort(points[:, :2].T)  # STL has an order of its own
+    error = np.abs(found[order[0]] - points[order[1], :2]).max()
+    return "exact" if error == 0 else f"{int(-np.log10(error))} digits"
+
+
+def modes(form: str, folder: Path) -> str:
+    """Text or binary: "both" if `like` decides between them, "either" if the format has both and it does not."""
+    if form not in ("vtu", "vtk", "gmsh", "ply", "stl"):
+        return {"med": "binary", "exodus": "binary", "h5m": "binary", "hmf": "binary"}.get(form, "text")
+    for binary in (True, False):
+        path = folder / f"mode{FORMATS[form].extensions[0]}"
+        mesh, name = plain(), {"gmsh": "gmsh", "vtk": "vtk"}.get(form, form)
+        with contextlib.redirect_stderr(io.StringIO()):  # meshio warns of text formats
+            meshio.write(path, mesh, file_format=name, binary=binary)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tm.write(path, moved(tm.read(path)), like=path)
+            if formats.load(path).binary is not binary:
+                return "either"
+    return "both"
+
+
+def table() -> str:
+    """The table, a row for each format."""
+    titles = ["format", "extensions", "text, binary", "coordinates", *(feature.title for feature in FEATURES)]
+    rows = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for form, spec in FORMATS.items():
+            cells = [form, " ".join(spec.extensions), modes(form, folder), positions(form, folder)]
+            rows.append([*cells, *("yes" if kept(form, feature, folder) else "" for feature in FEATURES)])
+    return tables.table(titles, rows)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments.parser(__doc__).parse_args(argv)
+    print(table())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What a network gains from the losses and the layer."""

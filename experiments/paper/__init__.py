@@ -1,0 +1,1 @@
+"""The paper itself: its meshes, made anew, and its figure of the algorithm."""

@@ -1,0 +1,1 @@
+"""How good the improved meshes are, and what they are worth."""

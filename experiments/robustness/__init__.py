@@ -1,0 +1,1 @@
+"""How hard a tangle may be, and whether any input ends badly."""

@@ -1,0 +1,29 @@
+"""The parser of a script, and the options that several scripts have."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """A parser that shows the first line of `description`, a module's docstring, and the default of each option."""
+    first = (description or "").strip().split("\n")[0]
+    return argparse.ArgumentParser(description=first, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+
+
+def add_cache(options: argparse.ArgumentParser) -> None:
+    """--cache, the same for all scripts: their meshes have names that do not clash."""
+    options.add_argument("--cache", type=Path, default=Path("out/cache"), help="folder where generated meshes are kept")
+
+
+def add_out(options: argparse.ArgumentParser, name: str) -> None:
+    """--out, the folder for what the script writes; out/NAME unless another is given."""
+    options.add_argument("--out", type=Path, default=Path("out") / name, help="folder for tables, records and pictures")
+
+
+def add_sizes(options: argparse.ArgumentParser, *default: int) -> None:
+    """--triangles, one or several approximate numbers of triangles of a mesh."""
+    options.add_argument(
+        "--triangles", type=int, nargs="+", default=list(default), help="about so many triangles a mesh"
+    )

@@ -1,0 +1,116 @@
+"""Clocks: minima over interleaved runs, and runs in a process of their own.
+
+Wall time is what a user waits.  The processor time of this process is given beside it, since other work on the machine
+hardly changes it.  Everything runs in one thread.
+
+This module must not import torchmesh, whose import is one of the things that are measured.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """The wall time and the processor time of some work."""
+
+    wall: float
+    cpu: float
+
+    def __add__(self, other: Seconds) -> Seconds:
+        return Seconds(self.wall + other.wall, self.cpu + other.cpu)
+
+    def __sub__(self, other: Seconds) -> Seconds:
+        return Seconds(self.wall - other.wall, self.cpu - other.cpu)
+
+    def __mul__(self, factor: float) -> Seconds:
+        return Seconds(self.wall * factor, self.cpu * factor)
+
+    def least(self, other: Seconds) -> Seconds:
+        """The smaller wall time and the smaller processor time of the two."""
+        return Seconds(min(self.wall, other.wall), min(self.cpu, other.cpu))
+
+    def over(self, other: Seconds) -> Seconds:
+        """The ratios of this to `other`."""
+        return Seconds(self.wall / other.wall, self.cpu / other.cpu)
+
+    def __str__(self) -> str:
+        return f"{self.wall:.4g} s (cpu {self.cpu:.4g})"
+
+
+class Stopwatch:
+    """`with Stopwatch() as watch: ...` leaves `watch.seconds`."""
+
+    def __enter__(self) -> Stopwatch:
+        self._wall, self._cpu = time.perf_counter(), self._processor_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds = Seconds(time.perf_counter() - self._wall, self._processor_time() - self._cpu)
+
+    @staticmethod
+    def _processor_time() -> float:
+        """The processor time of this process and of its children that have ended."""
+        times = os.times()
+        return time.process_time() + times.children_user + times.children_system
+
+
+def interleaved(works: Mapping[str, Callable[[], Seconds | None]], repeats: int) -> dict[str, Seconds]:
+    """The least time of each work over `repeats` rounds; a round runs every work once.
+
+    A work may return the seconds of the part of it that counts; if it returns None, all of it counts.
+    """
+    best: dict[str, Seconds] = {}
+    for _ in range(repeats):
+        for name, work in works.items():
+            with Stopwatch() as watch:
+                part = work()
+            seconds = part or watch.seconds
+            best[name] = best[name].least(seconds) if name in best else seconds
+    return best
+
+
+def in_fresh_process(code: str, *arguments: object) -> dict[str, Any]:
+    """Run Python `code` with `arguments` as sys.argv[1:] in a new process; return the JSON of its last line.
+
+    The first of several runs writes the compiled bytecode that the others use, as an installation does for all.
+    """
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    root = str(Path(__file__).parents[2])
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (root, environment.get("PYTHONPATH"))))
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, env=environment
+    )
+    if done.returncode:
+        raise RuntimeError(f"the measured process failed:\n{done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def one_thread() -> None:
+    """Limit torch, and the libraries that are loaded later, to one thread."""
+    import torch
+
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    torch.set_num_threads(1)
+
+
+def machine() -> str:
+    """The processor, its cores and how busy it is now."""
+    model = "unknown processor"
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return f"{model}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at {time.strftime('%Y-%m-%d %H:%M')}"

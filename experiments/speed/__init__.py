@@ -1,0 +1,1 @@
+"""What the work costs, against other tools and against other ways."""

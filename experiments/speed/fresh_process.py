@@ -1,0 +1,43 @@
+"""Programs for a fresh process, each of which prints what it measured as JSON."""
+
+from __future__ import annotations
+
+# Its argument is the file of a case.  torch is loaded before the clock starts, and torchmesh after.
+FIRST_CALL = """
+import json, sys
+import numpy as np, torch
+torch.set_num_threads(1)
+from experiments.shared.clocks import Stopwatch
+data = np.load(sys.argv[1])
+assert "torchmesh" not in sys.modules
+with Stopwatch() as load:
+    import torchmesh as tm
+with Stopwatch() as first:
+    mesh, report = tm.improve(tm.MeshBatch.from_arrays(data["tangled"], data["triangles"]))
+with Stopwatch() as second:
+    tm.improve(tm.MeshBatch.from_arrays(data["tangled"], data["triangles"]))
+q = report.quality
+print(json.dumps({name: vars(value) for name, value in
+    {"load": load.seconds, "first": first.seconds, "second": second.seconds}.items()}
+    | {"valid": bool(report.valid), "inverted": int(q.inverted), "mean": float(q.mean), "max": float(q.max)}))
+"""
+
+# Its argument is the file of a case; peak memory is in GiB.
+GROWTH = """
+import json, resource, sys
+import numpy as np, torch
+torch.set_num_threads(1)
+import torchmesh as tm
+from experiments.shared.clocks import Stopwatch
+data = np.load(sys.argv[1])
+mesh = tm.MeshBatch.from_arrays(data["points"], data["triangles"]).with_points(torch.from_numpy(data["tangled"]))
+loaded = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+with Stopwatch() as watch:
+    mesh, report = tm.improve(mesh)
+q = report.quality
+print(json.dumps(vars(watch.seconds) | {
+    "triangles": len(mesh.triangles), "loaded": loaded / 2**20,
+    "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    "inverted": int(q.inverted), "mean": float(q.mean), "max": float(q.max),
+    "stages": [[step.stage, round(step.seconds, 3), step.iterations, step.inverted] for step in report.steps[0]]}))
+"""

@@ -1,0 +1,69 @@
+"""Every script says what it does, stands in the table of experiments/README.md, and is named rightly elsewhere."""
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "experiments"
+SCRIPTS = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in FOLDER.rglob("*.py")
+    if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+)
+PAGES = [*ROOT.glob("*.md"), *FOLDER.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+NEEDS = {"experiments.quality.poisson": "skfem"}
+
+
+def test_there_are_scripts_in_every_group():
+    groups = {path.parent.name for path in FOLDER.glob("*/__init__.py")} - {"shared"}
+    assert {name.split(".")[1] for name in SCRIPTS} == groups == {
+        "paper", "quality", "robustness", "speed", "learning", "files"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_says_what_it_does(name, capsys):
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    script = importlib.import_module(name)
+    with pytest.raises(SystemExit) as stopped:
+        script.main(["--help"])
+    assert stopped.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    # argparse breaks lines at hyphens.
+    assert script.__doc__.split("\n")[0].replace(" ", "") in shown.replace(" ", "")
+    assert f"python -m {name}" in script.__doc__
+
+
+def test_the_table_of_the_readme_has_every_script_once():
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\|[^|]*\| `python -m ([\w.]+)", text, re.MULTILINE)) == SCRIPTS
+
+
+def test_pages_name_scripts_that_exist():
+    named = {name for page in PAGES for name in re.findall(r"python -m (experiments\.[\w.]+\w)", page.read_text())}
+    assert len(named) > 8
+    assert named <= set(SCRIPTS)
+    paths = {
+        path
+        for page in [*PAGES, *(ROOT / "torchmesh").rglob("*.py")]
+        for path in re.findall(r"\bexperiments/[\w/]+\.py", page.read_text(encoding="utf-8"))
+    }
+    assert paths
+    assert [path for path in sorted(paths) if not (ROOT / path).exists()] == []
+
+
+def test_no_module_of_the_package_imports_an_experiment():
+    modules = list((ROOT / "torchmesh").rglob("*.py"))
+    assert len(modules) > 50
+    for path in modules:
+        assert not re.search(r"^\s*(from|import) experiments", path.read_text(encoding="utf-8"), re.MULTILINE), path
+
+
+def test_scripts_are_short():
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in FOLDER.rglob("*.py")}
+    assert len(lengths) > len(SCRIPTS)
+    assert [path.name for path, length in lengths.items() if length >= 200] == []
