@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 import torchmesh as tm
 from torchmesh.mesh.batch import vertex_mesh
-from torchmesh.mesh.connectivity import edges, twins
+from torchmesh.mesh.connectivity import edges
 from torchmesh.mesh.neighbourhoods import vertex_size
 
 
@@ -86,7 +86,7 @@ class Mover(nn.Module):
         rest = mesh.points - code[:, :2]
         distance = torch.stack([torch.hypot(*rest.T), (~task.hole & mesh.fixed).double()], 1)
         state = self.enter(torch.cat([mesh.points, rest, distance, code], 1).float())
-        edge = edges(mesh.triangles, twins(mesh.triangles))
+        edge = edges(mesh.triangles, mesh.twin)
         tail, head = torch.cat([edge, edge.flip(1)]).T
         degree = torch.bincount(head, minlength=len(state)).clamp_min(1)[:, None]
         for around in self.rounds:

@@ -33,7 +33,7 @@ def size_kept(before: tm.MeshBatch, after: tm.MeshBatch) -> float:
     moved = before.fixed & (before.points != after.points).any(1)
 
     def mean_length(mesh: tm.MeshBatch) -> torch.Tensor:
-        edges = connectivity.edges(mesh.triangles, connectivity.twins(mesh.triangles))
+        edges = connectivity.edges(mesh.triangles, mesh.twin)
         length = (mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]]).norm(dim=1)
         total = torch.zeros(len(mesh.points), dtype=length.dtype).index_add_(
             0, edges.reshape(-1), length.repeat_interleave(2)

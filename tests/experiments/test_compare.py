@@ -8,6 +8,7 @@ from experiments.shared import clocks
 from experiments.speed import compare
 
 
+@pytest.mark.slow
 def test_it_writes_table_record_and_plot(cache, tmp_path, capsys):
     pytest.importorskip("gmsh")
     arguments = ["--cache", cache, "--triangles", 300, 500, "--batch", 3, "--repeats", 1, "--out", tmp_path]

@@ -14,6 +14,7 @@ def made():
     return [case for case in map(fuzz.case, range(60)) if case is not None]
 
 
+@pytest.mark.slow
 def test_random_domains_with_their_vertices_anywhere_come_out_valid_or_are_refused_rightly(made):
     assert len(made) > 40
     assert len([mesh for _, mesh in made if len(mesh.constrained_edges)]) > 10

@@ -7,6 +7,7 @@ import pytest
 from experiments.learning import learn_to_move
 
 
+@pytest.mark.slow
 def test_it_learns_three_ways(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     options = ["--steps", "3", "--meshes", "8", "--triangles", "100", "--batch", "2", "--out", str(tmp_path)]

@@ -8,6 +8,7 @@ from experiments.robustness import never_give_up
 from experiments.robustness.success import tables_of
 
 
+@pytest.mark.slow
 def test_the_run_goes_on_where_it_was(cache, tmp_path, monkeypatch):
     pytest.importorskip("gmsh")
     arguments = ["--triangles", "80", "--seeds", "1", "--ways", "ours", "--families", "scrambled",

@@ -46,6 +46,7 @@ def test_a_worse_mesh_is_worse_to_solve_on(poisson):
     assert two.h1_error > one.h1_error
 
 
+@pytest.mark.slow
 def test_table_and_plot_are_written(poisson, monkeypatch, tmp_path, capsys):
     mesh = tm.MeshBatch.from_arrays(*meshes.holed_arrays())
     on_hole = (mesh.points - torch.tensor([4.0, 5.0])).norm(dim=1) < 1.1

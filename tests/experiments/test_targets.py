@@ -11,6 +11,7 @@ from experiments.speed.target_rows import ratio_row
 TINY = ["--small", "300", "--medium", "500", "--large", "800", "--meshes", "3", "--repeats", "1"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "needs"), [(1, ["gmsh"]), (4, ["gmsh", "numba"]), (5, ["gmsh", "igl"]), (6, ["gmsh"]), (7, ["gmsh"])]
 )
