@@ -43,8 +43,9 @@ if TYPE_CHECKING:
     from .mesh.batch import MeshBatch, join
     from .mesh.measure import Quality, minimum_angle, quality
     from .mesh.vertex_map import VertexMap
+    from .optimising.metric_field import MetricField
     from .optimising.moves import MoveInfo
-    from .optimising.targets import MetricField, metric_from, target_from, target_quality
+    from .optimising.targets import metric_from, target_from, target_quality
     from .pictures.films import animate
     from .pictures.page import report_page
     from .remeshing.options import RemeshOptions
@@ -77,8 +78,9 @@ _NAMES = {
     "mesh.batch": "MeshBatch join",
     "mesh.measure": "Quality minimum_angle quality",
     "mesh.vertex_map": "VertexMap",
+    "optimising.metric_field": "MetricField",
     "optimising.moves": "MoveInfo",
-    "optimising.targets": "MetricField metric_from target_from target_quality",
+    "optimising.targets": "metric_from target_from target_quality",
     "pictures.films": "animate",
     "pictures.page": "report_page",
     "remeshing.options": "RemeshOptions",

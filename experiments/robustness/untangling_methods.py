@@ -36,7 +36,8 @@ import torchmesh as tm
 from experiments.shared import arguments, tables
 from experiments.shared.tangles import tangle
 from torchmesh.mesh.ragged import spread
-from torchmesh.optimising.energies import TotalLiftedContent, equilateral
+from torchmesh.optimising.energies import TotalLiftedContent
+from torchmesh.optimising.jacobian import equilateral
 from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
 from torchmesh.optimising.objective import MeshObjective, pack
 from torchmesh.untangling.local_size import local_size

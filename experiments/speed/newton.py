@@ -27,8 +27,9 @@ from experiments.shared.tangles import tangle
 from torchmesh.mesh.neighbourhoods import vertex_size
 from torchmesh.mesh.ragged import spread
 from torchmesh.optimising.conjugate_gradients import solve
-from torchmesh.optimising.energies import InverseMeanRatio, Regularised, equilateral, select_rows
+from torchmesh.optimising.energies import InverseMeanRatio, Regularised
 from torchmesh.optimising.hessian import Hessian
+from torchmesh.optimising.jacobian import equilateral, select_rows
 from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
 from torchmesh.optimising.objective import MeshObjective, pack
 from torchmesh.untangling.local_size import local_size
@@ -44,7 +45,7 @@ class ElementHessian:
     def __init__(self, hessian: Hessian) -> None:
         h = self.of = hessian
         self.size = h.size
-        e1x, e1y, e2x, e2y = h.e
+        e1x, e1y, e2x, e2y = h.edges.view(4, -1).unbind(0)
         g11, g12, g22, m = (torch.as_tensor(v).to(e1x).expand_as(e1x) for v in h.target)
         stretch = 2 * torch.stack(
             [g11 * e1x + g12 * e2x, g11 * e1y + g12 * e2y, g12 * e1x + g22 * e2x, g12 * e1y + g22 * e2y], 1

@@ -8,14 +8,9 @@ import torch
 import torchmesh as tm
 from torchmesh.learning.domains import moving
 from torchmesh.mesh.neighbourhoods import vertex_size
-from torchmesh.optimising.energies import (
-    InverseMeanRatio,
-    Regularised,
-    UntangleBeta,
-    energy_and_forces,
-    equilateral,
-    pieces_of,
-)
+from torchmesh.optimising.assembly import chunks_of, energy_and_forces
+from torchmesh.optimising.energies import InverseMeanRatio, Regularised, UntangleBeta
+from torchmesh.optimising.jacobian import equilateral
 from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
 from torchmesh.optimising.objective import MeshObjective, pack
 
@@ -45,7 +40,7 @@ def objective_of(batch: tm.MeshBatch) -> tuple[MeshObjective, torch.Tensor]:
 def test_kernel(benchmark, cells, energy):
     objective, unknowns = objective_of(grid(cells))
     coordinates = torch.cat([unknowns, objective.anchored])
-    benchmark(energy_and_forces, coordinates, pieces_of(objective.rows, energy, equilateral()))
+    benchmark(energy_and_forces, coordinates, chunks_of(objective.rows, energy, equilateral()))
 
 
 @pytest.mark.parametrize(("cells", "count"), [(33, 1), (33, 60), (440, 1)])

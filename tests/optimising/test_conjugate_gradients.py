@@ -6,8 +6,9 @@ from meshes import disc, disturbed, grid
 from torch import Tensor
 
 from torchmesh.optimising.conjugate_gradients import Systems, solve
-from torchmesh.optimising.energies import InverseMeanRatio, equilateral
+from torchmesh.optimising.energies import InverseMeanRatio
 from torchmesh.optimising.hessian import Hessian
+from torchmesh.optimising.jacobian import equilateral
 
 TARGET = equilateral(0.2)
 
@@ -68,7 +69,7 @@ def side_by_side(generator):
     together = Hessian(
         torch.cat(rows, 1),
         rest,
-        tuple(torch.cat([h.e[i] for h, _ in parts]) for i in range(4)),
+        torch.cat([h.edges for h, _ in parts], 2),
         TARGET,
         torch.cat([h.slopes for h, _ in parts], 1),
         torch.cat([h.curvatures for h, _ in parts], 1),
@@ -114,7 +115,7 @@ def test_selected_systems_go_on_as_if_alone(generator):
 def test_an_indefinite_system_stops_and_says_so():
     # With its signs turned round, a positive definite Hessian is negative definite.
     hessian, count = hessian_of(disturbed(grid(), 0.01, 2))
-    turned = Hessian(hessian.rows, hessian.size, hessian.e, TARGET, -hessian.slopes, -hessian.curvatures)
+    turned = Hessian(hessian.rows, hessian.size, hessian.edges, TARGET, -hessian.slopes, -hessian.curvatures)
     solution = solve(turned, torch.ones(count, dtype=torch.float64), torch.tensor([0, count]))
     assert not bool(solution.converged)
     assert bool((solution.x == 0).all())

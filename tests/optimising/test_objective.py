@@ -8,8 +8,8 @@ from torchmesh import join
 from torchmesh.mesh.ragged import segment_sum
 from torchmesh.mesh.triangle import corners, signed_area
 from torchmesh.mesh.units import centre_and_unit
-from torchmesh.optimising import energies
 from torchmesh.optimising.energies import Regularised
+from torchmesh.optimising.jacobian import equilateral, invariants
 from torchmesh.optimising.lbfgs import BLOCK
 from torchmesh.optimising.objective import MeshObjective, pack
 
@@ -26,7 +26,7 @@ def packed(batch, free=None):
 def objective_of(batch, packing):
     return MeshObjective(
         Regularised(torch.linspace(0.5, 1.5, len(packing.triangles), dtype=torch.float64)),
-        energies.equilateral(),
+        equilateral(),
         packing.rows,
         packing.anchored,
         packing.block_offsets,
@@ -127,7 +127,7 @@ def test_the_objective_is_the_sum_over_each_mesh_and_its_gradient():
     assert done is None
     unknowns = packing.unknowns.clone().requires_grad_()
     t = torch.cat([unknowns, packing.anchored])[packing.rows.long()]
-    stretch, det = energies.invariants(
+    stretch, det = invariants(
         corners(t.T.reshape(-1, 2), torch.arange(3 * t.shape[1]).reshape(-1, 3)), objective.target
     )
     value = segment_sum(objective.energy.value(stretch, det), packing.triangle_offsets)
@@ -176,7 +176,7 @@ def test_a_large_batch_gives_every_mesh_the_bits_it_has_alone():
     def values(packing, copies):
         objective = MeshObjective(
             Regularised(0.7),
-            energies.equilateral(0.1),
+            equilateral(0.1),
             packing.rows,
             packing.anchored,
             packing.block_offsets,

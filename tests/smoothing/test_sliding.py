@@ -11,7 +11,8 @@ import torchmesh as tm
 from torchmesh import ImproveOptions, MeshBatch, SmoothOptions, Status, diagnose, improve, join, quality, smooth
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.triangle import corners, signed_area
-from torchmesh.optimising.energies import InverseMeanRatio, equilateral
+from torchmesh.optimising.energies import InverseMeanRatio
+from torchmesh.optimising.jacobian import equilateral
 from torchmesh.optimising.objective import MeshObjective, pack
 from torchmesh.smoothing import sliding
 from torchmesh.smoothing.sliding import Slide, curves_of

@@ -10,7 +10,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.neighbourhoods import constrained_half_edges
 from ..mesh.ragged import spread
 from ..mesh.units import centre_and_unit
-from ..optimising.targets import MetricField
+from ..optimising.metric_field import MetricField
 from .metric_rule import MetricRule
 from .rounds import flip_rounds
 from .rules import kim_rule, safe_rule, shape_rule

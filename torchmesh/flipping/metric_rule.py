@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.triangle import Corners, inverse_mean_ratio
-from ..optimising.targets import _root, _stretched
+from ..optimising.jacobian import EdgeMap
 from .rules import Quads, new_signs, old_signs
 
 
@@ -43,4 +43,4 @@ class MetricRule:
 
 def _energy(t: Corners, metric: Tensor) -> Tensor:
     # A flat triangle's infinity must not meet another in a difference.
-    return inverse_mean_ratio(_stretched(t, _root(metric))).clamp_max(1e30).square()
+    return inverse_mean_ratio(EdgeMap.root_of(metric).corners(t)).clamp_max(1e30).square()

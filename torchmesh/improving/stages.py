@@ -20,7 +20,8 @@ from ..mesh.measure import quality
 from ..mesh.neighbourhoods import corners_of, rewired, touching, vertex_size
 from ..mesh.ragged import segment_any, segment_count, spread
 from ..optimising.lbfgs import LbfgsOptions
-from ..optimising.targets import MetricField, as_targets, narrow
+from ..optimising.metric_field import MetricField
+from ..optimising.targets import as_targets, narrow
 from ..remeshing.criteria import crowded
 from ..remeshing.options import RemeshOptions
 from ..remeshing.sizing import SizeConformity, size_conformity, size_field

@@ -24,16 +24,8 @@ from ..mesh.batch import MeshBatch, triangle_mesh
 from ..mesh.measure import upright
 from ..mesh.ragged import counts_from_offsets, segment_sum, spread
 from ..mesh.triangle import SQRT3, corners, signed_area
-from ..optimising.energies import (
-    InverseMeanRatio,
-    Regularised,
-    Target,
-    UntangleBeta,
-    equilateral,
-    invariants,
-    target_of,
-    whole_power,
-)
+from ..optimising.energies import InverseMeanRatio, Regularised, UntangleBeta, whole_power
+from ..optimising.jacobian import Target, equilateral, invariants, target_of
 from ..untangling.local_size import local_size
 
 Per = Literal["mesh", "triangle"]

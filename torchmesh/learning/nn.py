@@ -27,9 +27,11 @@ from ..mesh.batch import MeshBatch, put
 from ..mesh.measure import upright
 from ..mesh.neighbourhoods import vertex_size
 from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
+from ..optimising.assembly import chunk_offsets, chunks_of, energy_and_forces
 from ..optimising.conjugate_gradients import solve
-from ..optimising.energies import InverseMeanRatio, chunk_borders, energy_and_forces, equilateral, pieces_of
+from ..optimising.energies import InverseMeanRatio
 from ..optimising.hessian import Hessian
+from ..optimising.jacobian import equilateral
 from ..optimising.lbfgs import BLOCK
 from ..optimising.objective import Packing, pack
 from ..smoothing.smoothing import SmoothOptions, smooth
@@ -256,11 +258,11 @@ def _minimised(start: MeshBatch, options: LayerOptions) -> tuple[_State, LayerIn
     size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
     size = torch.where(size > 0, size, 1.0)
     rows = packing.block_offsets * BLOCK
-    pieces = pieces_of(packing.rows, energy, target, chunk_borders(packing.triangle_offsets.tolist()))
+    chunks = chunks_of(packing.rows, energy, target, chunk_offsets(packing.triangle_offsets.tolist()))
     x, count = packing.unknowns, len(packing.unknowns)
 
     def energies(x: Tensor) -> Tensor:
-        phi, _, det = energy_and_forces(torch.cat([x, packing.anchored]), pieces)
+        phi, _, det = energy_and_forces(torch.cat([x, packing.anchored]), chunks)
         total = segment_sum(phi, packing.triangle_offsets)
         return torch.where(segment_any(~(det > 0), packing.triangle_offsets), torch.inf, total)
 

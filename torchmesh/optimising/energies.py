@@ -1,58 +1,14 @@
-"""What is minimised: energies of one triangle, and their gradient over a mesh.
+"""Energies of one triangle: functions phi(stretch, det) of the two invariants of its Jacobian (see `jacobian`).
 
-Every energy here is a function phi(stretch, det) of two invariants of J = E W^-1, where
-E = [b - a, c - a] and W is the target triangle's E (Knupp 2001; Kim 2017 writes A for E):
-
-    stretch = ||J||_F^2 = g11 |e1|^2 + 2 g12 e1.e2 + g22 |e2|^2       det = det J = m det E
-
-so one kernel gathers corners, asks the energy for phi and its two slopes, and scatters forces.
-Each energy states phi in plain differentiable torch (`value`), and its slopes by hand
-(`value_and_slopes`); a test holds the two together.
+Each energy states phi in plain differentiable torch (`value`), and its slopes by hand (`value_and_slopes`), which
+the optimiser calls; a test holds the two together.
 """
 
-import dataclasses
-import itertools
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
-
-from ..mesh.triangle import SQRT3, Corners
-
-
-class Target(NamedTuple):
-    """The target triangle as J's coefficients, one float for all triangles or (T,) one each.
-
-    g11, g12, g22 are the entries of W^-1 W^-T, m = det W^-1.
-    """
-
-    g11: Tensor | float
-    g12: Tensor | float
-    g22: Tensor | float
-    m: Tensor | float
-
-
-def equilateral(side: Tensor | float = 1.0) -> Target:
-    """The equilateral target W = side [[1, 1/2], [0, sqrt(3)/2]] (Kim 2017, equation 3)."""
-    inverse_square = 1.0 / (side * side)
-    return Target(4 / 3 * inverse_square, -2 / 3 * inverse_square, 4 / 3 * inverse_square, 2 / SQRT3 * inverse_square)
-
-
-def target_of(t: Corners) -> Target:
-    """Each triangle of `t`, which must be upright, as the target of itself."""
-    e1x, e1y, e2x, e2y = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
-    det = e1x * e2y - e1y * e2x
-    square = det * det
-    return Target(
-        (e2x * e2x + e2y * e2y) / square,
-        -(e1x * e2x + e1y * e2y) / square,
-        (e1x * e1x + e1y * e1y) / square,
-        1.0 / det,
-    )
-
-
-_R = TypeVar("_R")
 
 
 class Energy(Protocol):
@@ -186,137 +142,17 @@ class TotalLiftedContent:
         return phi, 0.5 * self.alpha / phi, det / phi
 
 
-def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
-    """(T,) stretch and det of J for each triangle, in differentiable torch operations."""
-    e1x, e1y, e2x, e2y = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
-    stretch = (
-        target.g11 * (e1x * e1x + e1y * e1y)
-        + 2 * target.g12 * (e1x * e2x + e1y * e2y)
-        + target.g22 * (e2x * e2x + e2y * e2y)
-    )
-    return stretch, target.m * (e1x * e2y - e1y * e2x)
+def slopes_and_curvatures(energy: Energy, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor]:
+    """(2, T) phi by stretch and by det; (3, T) phi by stretch twice, by both, and by det twice: autograd of `value`."""
+    with torch.enable_grad():
+        s, d = stretch.detach().requires_grad_(), det.detach().requires_grad_()
+        first = _by(energy.value(s, d), s, d, create_graph=True)
+        (ss, sd), (_, dd) = (_by(slope, s, d, retain_graph=True) for slope in first)
+    return torch.stack(first).detach(), torch.stack([ss, sd, dd])
 
 
-class Piece(NamedTuple):
-    """T triangles that are worked on at a time, with what belongs to them.
-
-    rows    (6 T,) int64, where all ax, then all ay, bx, by, cx and cy stand in the vector of coordinates
-    edges   (2, 2, T) x and y of e1 and of e2 where all coordinates are zero; None: zero
-    energy, target  theirs
-    """
-
-    rows: Tensor
-    edges: Tensor | None
-    energy: Energy
-    target: Target
-
-    def edges_at(self, coordinates: Tensor) -> Tensor:
-        """(2, 2, T) x and y of e1 and of e2."""
-        corner = coordinates.index_select(0, self.rows).view(3, 2, -1)
-        edges = corner[1:] - corner[0]
-        return edges if self.edges is None else edges.add_(self.edges)
-
-
-def pieces_of(
-    rows: Tensor, energy: Energy, target: Target, borders: list[int] | None = None, edges: Tensor | None = None
-) -> list[Piece]:
-    """Triangles cut into pieces for `energy_and_forces`.
-
-    rows     (6, T) where the corner coordinates ax, ay, bx, by, cx, cy stand in the vector of coordinates
-    borders  where pieces begin and end, from `chunk_borders`; None: those of one mesh
-    edges    (4, T) the x and y of e1 and of e2 where all coordinates are zero, which then are
-             displacements; None: zero
-    """
-    pieces = []
-    for start, end in itertools.pairwise(chunk_borders([0, rows.shape[1]]) if borders is None else borders):
-        here = slice(start, end)
-        before = None if edges is None else edges[:, here].reshape(2, 2, -1)
-        own = rows[:, here].reshape(-1).to(torch.int64)
-        pieces.append(Piece(own, before, select_rows(energy, here), select_rows(target, here)))
-    return pieces
-
-
-def energy_and_forces(coordinates: Tensor, pieces: list[Piece]) -> tuple[Tensor, Tensor, Tensor]:
-    """Energy of every triangle and the gradient of their sum, by hand-derived slopes.
-
-    coordinates  (N,) all coordinates in one vector, in any order
-
-    Returns phi (T,), the gradient (N,) and the smallest-det input det (T,).
-    """
-    gradient = torch.zeros_like(coordinates)
-    parts = [_add_forces(piece, coordinates, gradient) for piece in pieces]
-    if not parts:
-        return coordinates[:0], gradient, coordinates[:0]
-    phi, det = parts[0] if len(parts) == 1 else (torch.cat(part) for part in zip(*parts, strict=True))
-    return phi, gradient, det
-
-
-# Triangles at a time: what one chunk computes stays in the cache.
-_CHUNK = 32768
-
-
-def chunk_borders(offsets: list[int]) -> list[int]:
-    """Where to cut the triangles of the meshes that `offsets` (B+1,) tells apart.
-
-    Forces on a vertex are summed chunk by chunk, so a mesh is cut, if at all, at the same of its
-    own triangles whatever else is in the batch: its sums keep their bits.
-    """
-    borders = [0]
-    for start, end in itertools.pairwise(offsets):
-        if end - borders[-1] > _CHUNK and start > borders[-1]:
-            borders.append(start)
-        while end - borders[-1] > _CHUNK:
-            borders.append(borders[-1] + _CHUNK)
-    return [*borders, offsets[-1]] if offsets[-1] > borders[-1] else borders
-
-
-def _add_forces(piece: Piece, coordinates: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
-    """phi and det of the triangles of a piece; their forces are added to `gradient`."""
-    e, target = piece.edges_at(coordinates), piece.target
-    e1x, e1y, e2x, e2y = e.view(4, -1).unbind(0)
-    det = (e1x * e2y).addcmul_(e1y, e2x, value=-1).mul_(target.m)
-    # On a, and on b and c.
-    every = e.new_empty((3, *e.shape[1:]))
-    forces = every[1:]
-    f1x, f1y, f2x, f2y = forces.view(4, -1).unbind(0)
-    if piece.energy.stretches:
-        # Half the derivative of the stretch by e1 and by e2.
-        _combine(target.g11, e[0], target.g12, e[1], out=forces[0])
-        _combine(target.g22, e[1], target.g12, e[0], out=forces[1])
-        stretch = (f1x * e1x).addcmul_(f1y, e1y).addcmul_(f2x, e2x).addcmul_(f2y, e2y)
-        phi, by_stretch, by_det = piece.energy.value_and_slopes(stretch, det)
-        by_det = by_det * target.m
-        forces.mul_(2 * by_stretch)
-        f1x.addcmul_(by_det, e2y)
-        f1y.addcmul_(by_det, e2x, value=-1)
-        f2x.addcmul_(by_det, e1y, value=-1)
-        f2y.addcmul_(by_det, e1x)
-    else:
-        phi, _, by_det = piece.energy.value_and_slopes(det, det)
-        by_det = by_det * target.m
-        torch.mul(e2y, by_det, out=f1x)
-        torch.mul(e1x, by_det, out=f2y)
-        by_det.neg_()
-        torch.mul(e2x, by_det, out=f1y)
-        torch.mul(e1y, by_det, out=f2x)
-    torch.add(forces[0], forces[1], out=every[0])
-    every[0].neg_()
-    gradient.scatter_add_(0, piece.rows, every.view(-1))
-    return phi, det
-
-
-def _combine(p: Tensor | float, u: Tensor, q: Tensor | float, v: Tensor, out: Tensor) -> None:
-    """p u + q v."""
-    torch.mul(u, p, out=out)
-    if isinstance(q, float):
-        out.add_(v, alpha=q)
-    else:
-        out.addcmul_(v, q)
-
-
-def select_rows(record: _R, keep: Tensor | slice) -> _R:
-    """An energy or target for some of the triangles: its (T,) parameters at `keep`, floats as they are."""
-    if isinstance(record, tuple):
-        return type(record)(*(v[keep] if isinstance(v, Tensor) else v for v in record))
-    changes = {name: value[keep] for name, value in vars(record).items() if isinstance(value, Tensor)}
-    return dataclasses.replace(record, **changes) if changes else record  # type: ignore[type-var]
+def _by(of: Tensor, s: Tensor, d: Tensor, **graph: bool) -> tuple[Tensor, ...]:
+    """The derivatives of `of` (T,) by s and by d, zero where it does not depend on them."""
+    if not of.requires_grad:
+        return torch.zeros_like(s), torch.zeros_like(d)
+    return torch.autograd.grad(of.sum(), (s, d), allow_unused=True, materialize_grads=True, **graph)

@@ -20,7 +20,9 @@ from ..mesh.ragged import (
     spread,
 )
 from ..mesh.units import centre_and_unit
-from .energies import Energy, Piece, Target, chunk_borders, energy_and_forces, pieces_of, select_rows
+from .assembly import Chunk, chunk_offsets, chunks_of, energy_and_forces
+from .energies import Energy
+from .jacobian import EdgeMap, Target, select_rows
 from .lbfgs import BLOCK, block_width
 
 
@@ -142,8 +144,9 @@ def pack(
 class MeshObjective:
     """The sum of an energy over each mesh's packed triangles, as an `lbfgs.Objective`.
 
-    enough  a mesh is done as soon as each of its packed triangles has det > this; None: never
-    edges   of the packing
+    enough    a mesh is done as soon as each of its packed triangles has det > this; None: never
+    edges     of the packing
+    edge_map  through which the triangles are seen, of a metric field; None: as they are
     """
 
     energy: Energy
@@ -155,27 +158,28 @@ class MeshObjective:
     scale: Tensor
     enough: float | None = None
     edges: Tensor | None = None
+    edge_map: EdgeMap | None = None
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         coordinates = torch.cat([unknowns, self.anchored])
-        phi, gradient, det = energy_and_forces(coordinates, self.pieces)
+        phi, gradient, det = energy_and_forces(coordinates, self.chunks)
         energy = segment_sum(phi.to(torch.float64), self.triangle_offsets)
         done = None if self.enough is None else segment_min(det, self.triangle_offsets) > self.enough
         return energy, gradient[: len(unknowns)], done
 
     @functools.cached_property
-    def pieces(self) -> list[Piece]:
+    def chunks(self) -> list[Chunk]:
         """The triangles as the kernel takes them."""
-        borders = chunk_borders(self.triangle_offsets.tolist())
-        return pieces_of(self.rows, self.energy, self.target, borders, self.edges)
+        offsets = chunk_offsets(self.triangle_offsets.tolist())
+        return chunks_of(self.rows, self.energy, self.target, offsets, self.edges, self.edge_map)
 
     def det(self, unknowns: Tensor) -> Tensor:
         """(T,) det J of the packed triangles."""
         coordinates = torch.cat([unknowns, self.anchored])
         parts = []
-        for piece in self.pieces:
-            e1, e2 = piece.edges_at(coordinates).unbind(0)
-            parts.append(piece.target.m * (e1[0] * e2[1] - e1[1] * e2[0]))
+        for chunk in self.chunks:
+            e1, e2 = chunk.edges_at(coordinates).unbind(0)
+            parts.append(chunk.target.m * (e1[0] * e2[1] - e1[1] * e2[0]))
         return torch.cat([coordinates[:0], *parts])
 
     def select(self, keep: Tensor) -> "MeshObjective":
@@ -195,4 +199,5 @@ class MeshObjective:
             triangle_offsets=offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep]),
             scale=self.scale[kept],
             edges=None if self.edges is None else self.edges[:, faces],
+            edge_map=None if self.edge_map is None else select_rows(self.edge_map, faces),
         )

@@ -17,7 +17,8 @@ from ..mesh.measure import Quality, quality
 from ..mesh.metrics import percentiles
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_max, segment_sum
 from ..optimising.laplacian import harmonic_extension
-from ..optimising.targets import MetricField, target_quality
+from ..optimising.metric_field import MetricField
+from ..optimising.targets import target_quality
 from .sizing import SizeConformity, Sizes, size_field
 
 

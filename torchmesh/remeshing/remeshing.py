@@ -18,7 +18,7 @@ from ..mesh.neighbourhoods import constrained_half_edges
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_any, spread
 from ..mesh.units import centre_and_unit
 from ..mesh.vertex_map import Names, VertexMap, exchange
-from ..optimising.targets import MetricField
+from ..optimising.metric_field import MetricField
 from ..smoothing.smoothing import SmoothOptions, smooth
 from .collapses import Outcome, collapse_rounds
 from .collapses import Wish as CollapseWish

@@ -9,11 +9,11 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
-from ..optimising.energies import InverseMeanRatio, equilateral
+from ..optimising.energies import InverseMeanRatio
+from ..optimising.jacobian import equilateral
 from ..optimising.lbfgs import BLOCK, LbfgsOptions, minimise
-from ..optimising.metric_objective import aim
 from ..optimising.objective import MeshObjective, pack
-from ..optimising.targets import TargetFunction, Targets, as_targets, check
+from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check
 from ..status import Status
 
 if TYPE_CHECKING:

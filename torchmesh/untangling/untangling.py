@@ -11,7 +11,8 @@ from ..mesh.measure import upright
 from ..mesh.neighbourhoods import Means, surroundings, vertex_size
 from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segment_sum, spread
 from ..mesh.triangle import SQRT3, Corners, corners, signed_area
-from ..optimising.energies import Target, UntangleBeta, equilateral, target_of
+from ..optimising.energies import UntangleBeta
+from ..optimising.jacobian import Target, equilateral, target_of
 from ..optimising.lbfgs import LbfgsOptions, minimise
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, pack

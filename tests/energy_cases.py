@@ -1,0 +1,21 @@
+"""Energies of every kind, by name, for the tests of the modules that work with them."""
+
+from torchmesh.optimising.energies import InverseMeanRatio, Regularised, TotalLiftedContent, UntangleBeta
+
+ENERGIES = {
+    "imr": InverseMeanRatio(),
+    "imr^1": InverseMeanRatio(1),
+    "imr^3": InverseMeanRatio(3),
+    "imr^8": InverseMeanRatio(8),
+    "imr, ceiling": InverseMeanRatio(2, ceiling=1.5),
+    "imr^3, ceiling": InverseMeanRatio(3, ceiling=1.5),
+    "untangle-beta": UntangleBeta(0.3),
+    "regularised": Regularised(0.5),
+    "regularised, small eps": Regularised(1e-3),
+    "regularised, no area": Regularised(0.1, theta=0.0),
+    "lifted content": TotalLiftedContent(0.01),
+}
+
+
+# Infinite for inverted triangles.
+UPRIGHT_ONLY = {name for name in ENERGIES if name.startswith("imr")}
