@@ -143,16 +143,22 @@ class TotalLiftedContent:
 
 
 def slopes_and_curvatures(energy: Energy, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor]:
-    """(2, T) phi by stretch and by det; (3, T) phi by stretch twice, by both, and by det twice: autograd of `value`."""
+    """The first and second derivatives of phi, by autograd of `value`.
+
+    Returns (2, T) by stretch and by det, and (3, T) by stretch twice, by both, and by det twice.
+    """
     with torch.enable_grad():
         s, d = stretch.detach().requires_grad_(), det.detach().requires_grad_()
-        first = _by(energy.value(s, d), s, d, create_graph=True)
-        (ss, sd), (_, dd) = (_by(slope, s, d, retain_graph=True) for slope in first)
-    return torch.stack(first).detach(), torch.stack([ss, sd, dd])
+        slopes = _derivatives(energy.value(s, d), s, d, again=True)
+        (ss, sd), (_, dd) = (_derivatives(slope, s, d) for slope in slopes)
+    return torch.stack(slopes).detach(), torch.stack([ss, sd, dd])
 
 
-def _by(of: Tensor, s: Tensor, d: Tensor, **graph: bool) -> tuple[Tensor, ...]:
-    """The derivatives of `of` (T,) by s and by d, zero where it does not depend on them."""
+def _derivatives(of: Tensor, s: Tensor, d: Tensor, again: bool = False) -> tuple[Tensor, Tensor]:
+    """The derivatives of `of` (T,) by s and by d, zero where it does not depend on them; may they be derived again?"""
     if not of.requires_grad:
         return torch.zeros_like(s), torch.zeros_like(d)
-    return torch.autograd.grad(of.sum(), (s, d), allow_unused=True, materialize_grads=True, **graph)
+    by_s, by_d = torch.autograd.grad(
+        of.sum(), (s, d), retain_graph=True, create_graph=again, allow_unused=True, materialize_grads=True
+    )
+    return by_s, by_d
