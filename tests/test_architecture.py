@@ -47,7 +47,7 @@ MODULES = sorted({name_of(path) for path in PACKAGE.rglob("*.py")} - {"__init__"
 def imports_of(module: str) -> set[str]:
     """The modules of the package that `module` imports, at its top or inside a function; "" is the package itself."""
     path = PACKAGE / (module.replace(".", "/") + ".py")
-    path = path if path.exists() else PACKAGE / module / "__init__.py"
+    path = path if path.exists() else PACKAGE / module.replace(".", "/") / "__init__.py"
     here = ["torchmesh", *path.relative_to(PACKAGE).parts[:-1]]
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):

@@ -9,7 +9,8 @@ import meshio
 import numpy as np
 
 import torchmesh as tm
-from torchmesh.files import formats
+from torchmesh.files.formats.format import Document
+from torchmesh.files.formats.registry import FORMATS
 
 CELLS = 4  # along the square's side
 
@@ -58,7 +59,7 @@ class Feature:
 
     title: str
     make: Callable[[str], meshio.Mesh]
-    there: Callable[[formats.Document, tm.MeshBatch], bool]
+    there: Callable[[Document, tm.MeshBatch], bool]
 
 
 def with_lines(_: str) -> meshio.Mesh:
@@ -68,7 +69,7 @@ def with_lines(_: str) -> meshio.Mesh:
 
 def with_regions(form: str) -> meshio.Mesh:
     points, cells, right = square()
-    name = formats._CANONICAL.get(form, "cell_tags" if form == "med" else "gmsh:physical")
+    name = FORMATS[form].region_name or ("cell_tags" if form == "med" else "gmsh:physical")
     return meshio.Mesh(points, cells, cell_data={name: [1 + right.astype(np.int64)]})
 
 
@@ -90,7 +91,7 @@ def with_names(form: str) -> meshio.Mesh:
     return meshio.Mesh(points, cells, cell_data=data, field_data=groups)
 
 
-def has_names(document: formats.Document, _: tm.MeshBatch) -> bool:
+def has_names(document: Document, _: tm.MeshBatch) -> bool:
     mesh = document.mesh
     if document.format == "med":
         return ["wall"] in list(getattr(mesh, "cell_tags", {}).values())
@@ -103,8 +104,8 @@ def field(kind: str, values: np.ndarray) -> Callable[[str], meshio.Mesh]:
     return lambda _: plain(**{kind: {"u": [values] if kind == "cell_data" else values}})
 
 
-def has(kind: str, shape: tuple[int, ...]) -> Callable[[formats.Document, tm.MeshBatch], bool]:
-    def there(document: formats.Document, _: tm.MeshBatch) -> bool:
+def has(kind: str, shape: tuple[int, ...]) -> Callable[[Document, tm.MeshBatch], bool]:
+    def there(document: Document, _: tm.MeshBatch) -> bool:
         value = getattr(document.mesh, kind).get("u")
         value = value[0] if kind == "cell_data" and value else value
         return value is not None and np.shape(value)[1:] == shape

@@ -20,8 +20,8 @@ import numpy as np
 import torchmesh as tm
 from experiments.files.features import CELLS, FEATURES, Feature, plain
 from experiments.shared import arguments, tables
-from torchmesh.files import formats
-from torchmesh.files.formats import FORMATS
+from torchmesh.files.documents import load, save
+from torchmesh.files.formats.registry import FORMATS
 
 
 def kept(form: str, feature: Feature, folder: Path) -> bool:
@@ -31,13 +31,13 @@ def kept(form: str, feature: Feature, folder: Path) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            formats.save(first, feature.make(form), None, False)
-            if not feature.there(formats.load(first), tm.read(first)):
+            save(first, feature.make(form), None, False)
+            if not feature.there(load(first), tm.read(first)):
                 return False
         except tm.MeshError:
             return False
         tm.write(second, moved(tm.read(first)), like=first)
-        return feature.there(formats.load(second), tm.read(second))
+        return feature.there(load(second), tm.read(second))
 
 
 def moved(mesh: tm.MeshBatch) -> tm.MeshBatch:
@@ -53,7 +53,7 @@ def positions(form: str, folder: Path) -> str:
     points = np.random.default_rng(0).random((3, 3)) * (1, 1, 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        formats.save(path, meshio.Mesh(points, [("triangle", np.array([[0, 1, 2]]))]), None, False)
+        save(path, meshio.Mesh(points, [("triangle", np.array([[0, 1, 2]]))]), None, False)
         found = tm.read(path).points.double().numpy()
     order = np.lexsort(found.T), np.lexsort(points[:, :2].T)  # STL has an order of its own
     error = np.abs(found[order[0]] - points[order[1], :2]).max()
@@ -66,13 +66,12 @@ def modes(form: str, folder: Path) -> str:
         return {"med": "binary", "exodus": "binary", "h5m": "binary", "hmf": "binary"}.get(form, "text")
     for binary in (True, False):
         path = folder / f"mode{FORMATS[form].extensions[0]}"
-        mesh, name = plain(), {"gmsh": "gmsh", "vtk": "vtk"}.get(form, form)
         with contextlib.redirect_stderr(io.StringIO()):  # meshio warns of text formats
-            meshio.write(path, mesh, file_format=name, binary=binary)
+            meshio.write(path, plain(), file_format=form, binary=binary)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tm.write(path, moved(tm.read(path)), like=path)
-            if formats.load(path).binary is not binary:
+            if load(path).binary is not binary:
                 return "either"
     return "both"
 

@@ -16,12 +16,16 @@ import torch
 
 from torchmesh import MeshBatch, join
 from torchmesh.errors import InvalidMeshError, MeshError, MeshIOError, MeshWarning, MissingDependencyError
-from torchmesh.files import formats
+from torchmesh.files import atomic
+from torchmesh.files.documents import load as load_document
+from torchmesh.files.documents import save as save_document
+from torchmesh.files.formats.meshio_formats import MeshioFormat
+from torchmesh.files.formats.registry import FORMATS
 from torchmesh.files.mesh_files import held, read, write
 
 N = 5  # vertices along a side of the small grid
 LEFT, RIGHT = 1, 2
-ALL = [name for name in formats.FORMATS if name != "exodus"]  # exodus needs netCDF4, see below
+ALL = [name for name in FORMATS if name != "exodus"]  # exodus needs netCDF4, see below
 # Bits are kept by every format but these: Nastran has columns of 16 characters; STL merges by place.
 INEXACT = {"nastran": 1e-9}
 # Which of the grid's content the format gives back; the table in the README says the same.
@@ -71,7 +75,7 @@ def save(path: Path, mesh: meshio.Mesh, **options) -> Path:
         if options:
             meshio.write(path, mesh, **options)
         else:
-            formats.save(path, mesh, None, False)
+            save_document(path, mesh, None, False)
     return path
 
 
@@ -92,7 +96,7 @@ def warned(record) -> str:
 
 
 def load(path: Path) -> meshio.Mesh:
-    return formats.load(path).mesh
+    return load_document(path).mesh
 
 
 def triangle_data(mesh: meshio.Mesh, name: str) -> np.ndarray:
@@ -113,7 +117,7 @@ def side_of(mesh: MeshBatch) -> np.ndarray:
 def test_every_format_gives_the_mesh_back(tmp_path, form, extra):
     source = grid() if extra else meshio.Mesh(*grid_arrays()[:1], [("triangle", grid_arrays()[1])])
     given = moved(read(save(tmp_path / "in.vtu", source)))
-    path = tmp_path / f"out{formats.FORMATS[form].extensions[0]}"
+    path = tmp_path / f"out{FORMATS[form].extensions[0]}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeshWarning)  # what the format cannot hold, tested below
         write(path, given, like=tmp_path / "in.vtu")
@@ -132,7 +136,7 @@ def test_every_format_gives_the_mesh_back(tmp_path, form, extra):
 
 @pytest.mark.parametrize("form", ALL)
 def test_every_format_onto_itself_moves_nothing(tmp_path, form):
-    path = tmp_path / f"a{formats.FORMATS[form].extensions[0]}"
+    path = tmp_path / f"a{FORMATS[form].extensions[0]}"
     save(path, grid())
     first = read(path)
     write(path, first, like=path)  # input and output may be one file
@@ -827,7 +831,7 @@ def test_a_truncated_file_is_no_foreign_exception_and_no_endless_loop(tmp_path, 
     def stop(*_):
         raise EndlessError
 
-    suffix = formats.FORMATS[form].extensions[0]
+    suffix = FORMATS[form].extensions[0]
     whole = save(tmp_path / f"a{suffix}", grid()).read_bytes()
     before = signal.signal(signal.SIGALRM, stop)
     silent = foreign = 0
@@ -859,7 +863,7 @@ def test_an_unreadable_file_says_so(tmp_path, monkeypatch):
     def denied(*_):
         raise PermissionError(errno.EACCES, "Permission denied")  # root may read anything: pretend
 
-    monkeypatch.setattr(formats, "_load", denied)
+    monkeypatch.setattr(MeshioFormat, "read", denied)
     with pytest.raises(MeshIOError, match=r"a\.vtu: cannot be read: Permission denied"):
         read(path)
 
@@ -951,7 +955,7 @@ def test_a_directory_that_may_not_be_written_is_named(tmp_path, monkeypatch, mes
     def denied(**_):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(formats.tempfile, "mkdtemp", denied)
+    monkeypatch.setattr(atomic.tempfile, "mkdtemp", denied)
     with pytest.raises(MeshIOError, match=r"a\.vtu: cannot be written: Permission denied"):
         write(tmp_path / "a.vtu", mesh)
 
@@ -993,7 +997,7 @@ def test_permissions_and_links_stay(tmp_path, mesh):
 
 def test_nothing_is_printed(tmp_path, capfd, mesh):
     for form in ALL:
-        path = tmp_path / f"a{formats.FORMATS[form].extensions[0]}"
+        path = tmp_path / f"a{FORMATS[form].extensions[0]}"
         write(path, mesh)
         read(path)
     assert capfd.readouterr() == ("", "")

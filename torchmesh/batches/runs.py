@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import MeshIOError, MeshWarning, MissingDependencyError
-from ..files.formats import FORMATS, format_of
+from ..files.formats.registry import format_of, known_extensions
 from ..improving.options import ImproveOptions
 from . import manifest
 from .batches import Job, fingerprint
@@ -263,7 +263,7 @@ def _matches(path: str) -> tuple[str, list[str]]:
     if os.path.isfile(path):
         return os.path.dirname(path), [path]
     if os.path.isdir(path):
-        known = {extension for form in FORMATS.values() for extension in form.extensions}
+        known = known_extensions()
         found = glob.glob(os.path.join(glob.escape(path), "**", "*"), recursive=True)
         return path, [f for f in found if os.path.splitext(f)[1].lower() in known and os.path.isfile(f)]
     if not glob.has_magic(path):

@@ -156,7 +156,7 @@ def _into_one(target: Path, batches: "Iterator[Moved]") -> None:
 def _into_folder(target: Path, suffix: str, batches: "Iterator[Moved]") -> None:
     """Writes each deformed mesh into a file of its own; raises MeshIOError."""
     from ..errors import MeshIOError
-    from ..files.formats import format_of
+    from ..files.formats.registry import format_of
     from ..files.mesh_files import write
 
     ending = "." + suffix.lstrip(".")

@@ -21,7 +21,7 @@ def check_distinct(*paths: Path | None) -> None:
 def check_mesh_target(target: Path) -> None:
     """Raises MeshIOError unless a mesh file of this name can be written."""
     from ..files.atomic import check_target
-    from ..files.formats import format_of
+    from ..files.formats.registry import format_of
 
     format_of(target)
     check_target(target)

@@ -11,33 +11,58 @@ from ..errors import MeshIOError
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
-    """The path, if a file can be put there.  Raises MeshIOError where not."""
+    """The path, if a file can be written there.  Raises MeshIOError if not."""
     path = Path(path)
-    folder = Path(os.path.realpath(path)).parent
-    if path.is_dir():
-        raise MeshIOError(f"{path}: is a directory")
-    if not folder.is_dir():
-        raise MeshIOError(f"{path}: the directory {folder} does not exist")
+    folder = real_target(path).parent
     try:
         with tempfile.TemporaryDirectory(prefix=".torchmesh-", dir=folder):
             return path
     except OSError as error:
-        raise MeshIOError(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise MeshIOError(f"{path}: cannot be written: {_reason(error)}") from None
+
+
+def real_target(path: str | os.PathLike[str]) -> Path:
+    """The path of the file that `path` leads to through links.
+
+    Raises MeshIOError for a directory, for anything else that is no regular file, and where the folder is missing.
+    """
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise MeshIOError(f"{path}: is a directory")
+    if not target.parent.is_dir():
+        raise MeshIOError(f"{path}: the directory {target.parent} does not exist")
+    if target.exists() and not target.is_file():
+        raise MeshIOError(f"{path}: is not a regular file")
+    return target
 
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A path to write to, which takes the place of `path` when the block ends well, and else vanishes."""
-    target = Path(os.path.realpath(check_target(path)))
+    """A path to write to.  Its file takes the place of `path` when the block ends well, and vanishes otherwise.
+
+    Other files that the block makes beside it are moved with it.  A file that is replaced hands on its permissions.
+    Raises MeshIOError for every OSError.
+    """
+    target = real_target(path)
     folder = None
     try:
+        # A new folder in the same file system: from there files are moved in one step, when all are complete.
         folder = Path(tempfile.mkdtemp(prefix=".torchmesh-", dir=target.parent))
-        yield folder / target.name
-        os.replace(folder / target.name, target)
+        made = folder / target.name
+        yield made
+        for file in (*sorted(other for other in folder.iterdir() if other != made), made):
+            final = target.parent / file.name
+            if final.exists():
+                shutil.copymode(final, file)
+            os.replace(file, final)
     except OSError as error:
         if isinstance(error, MeshIOError):
             raise
-        raise MeshIOError(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise MeshIOError(f"{path}: cannot be written: {_reason(error)}") from None
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or " ".join(str(error).split())

@@ -1,6 +1,6 @@
 """Time series in one file: many steps, each with its own data and, where the boundary moves, its own mesh.
 
-XDMF holds them (a temporal collection of grids; ParaView, FEniCS and others write it).  Steps that share
+XDMF holds them as a temporal collection of grids, which ParaView, FEniCS and other programs write.  Steps that share
 one mesh are one mesh of the batch:
 
     steps     0  1  2  3  4
@@ -23,18 +23,20 @@ import numpy as np
 from ..errors import InvalidMeshError, MeshIOError, MeshWarning
 from ..mesh.batch import MeshBatch, join
 from ..mesh.vertex_map import VertexMap
-from . import formats
 from .atomic import replacing
-from .formats import Document
-from .mesh_files import Source, content_for
+from .documents import save
+from .formats.format import Document
+from .formats.registry import format_of
+from .formats.xdmf import XDMF, is_series
+from .mesh_files import content_for
+from .messages import translated, warn
+from .source import Source
 
 _INCLUDE = re.compile(r"include$")
 
-
-# As meshio and ParaView, FEniCS, and dolfinx name the grid whose mesh a step has.
+# The two ways in which programs name the grid whose mesh a step has: meshio and ParaView by its name, others by its
+# number among the uniform grids.
 _NAMED = re.compile(r"""Grid\[@Name\s*=\s*["']([^"']*)["']\](?:/Grid\[(\d+)\])?""")
-
-
 _UNIFORM = re.compile(r"""Grid\[@GridType\s*=\s*["']Uniform["']\](?:\[(\d+)\])?""")
 
 
@@ -45,7 +47,7 @@ class Series:
     batch         the M meshes that differ
     times         (S,) the time of each step, in the file's unit
     mesh_of_step  (S,) for each step its mesh in the batch
-    sources       (S,) what `write_series` needs to know of each
+    sources       (S,) what `write_series` needs to know of each step
     """
 
     batch: MeshBatch
@@ -60,13 +62,13 @@ class Series:
 def read_series(path: str | os.PathLike[str]) -> Series:
     """The steps of an XDMF time series; any other mesh file is a series of one step at time 0.
 
-    Regions, lines and fixed vertices are told for each step as by `read`; of steps whose vertices,
-    cells, `fixed` and regions agree one mesh is made.
+    Regions, lines and fixed vertices are found for each step as by `read`.  Steps whose vertices, triangles, fixed
+    vertices and constrained edges agree share one mesh.
 
-    Raises MeshIOError, InvalidMeshError and MissingDependencyError as `read` does; the step is named.
+    Raises MeshIOError, InvalidMeshError and MissingDependencyError as `read` does, and names the step.
     """
     path = Path(path)
-    if not formats.is_series(path):
+    if not is_series(path):
         source = Source.open(path)
         return Series(source.mesh, [0.0], [0], [source])
     steps = _xdmf_steps(path)
@@ -76,7 +78,7 @@ def read_series(path: str | os.PathLike[str]) -> Series:
     mesh_of_step = []
     for step, (_, mesh) in enumerate(steps):
         try:
-            source = Source.of(Document(mesh, "xdmf"), path)
+            source = Source.of(Document(mesh, XDMF.name), path)
         except InvalidMeshError as error:
             raise InvalidMeshError(f"step {step} of {error}") from None
         m = source.mesh
@@ -98,13 +100,13 @@ def write_series(
     like: Series,
     vertex_maps: Sequence[VertexMap] | None = None,
 ) -> None:
-    """Writes the steps of `like` at the vertices and triangles of `batch`, all or nothing.
+    """Writes the steps of `like` with the vertices and triangles of `batch`, whole or not at all.
 
     batch        as many meshes as `like.batch` has, in its order; data is carried over as by `write`
     vertex_maps  of remeshed meshes, one for each mesh of `batch` (`report.vertex_map.split(like.batch, batch)`):
                  point data is interpolated at inserted vertices; without them, point data is dropped there
 
-    A series of several steps becomes .xdmf (its data as text in the one file), a single step any
+    A series of several steps is written as .xdmf, with its data as text in the one file; a single step in any
     format.  Raises as `write` does.
     """
     path = Path(path)
@@ -114,39 +116,42 @@ def write_series(
     if vertex_maps is not None and len(vertex_maps) != len(meshes):
         raise InvalidMeshError(f"{path}: there are {len(vertex_maps)} vertex maps for {len(meshes)} meshes")
     maps = [None] * len(meshes) if vertex_maps is None else vertex_maps
-    form = formats.format_of(path)
-    if len(like) > 1 and form != "xdmf":
-        raise MeshIOError(f"{path}: {form} files hold one step, the series has {len(like)}: write .xdmf")
+    form = format_of(path)
+    if len(like) > 1 and form is not XDMF:
+        raise MeshIOError(f"{path}: {form.name} files hold one step, the series has {len(like)}: write .xdmf")
     if len(like) == 1:
         document, content, same_rows = content_for(path, meshes[0], like.sources[0], maps[0])
-        formats.save(path, content, document, same_rows)
+        save(path, content, document, same_rows)
         return
     root = ET.Element("Xdmf", Version="3.0")
     collection = ET.SubElement(
         ET.SubElement(root, "Domain"), "Grid", Name="TimeSeries", GridType="Collection", CollectionType="Temporal"
     )
-    said: list[str] = []
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always", MeshWarning)
+        one = Path(folder) / f"{path.stem}.xdmf"
         for step, (time, m, source) in enumerate(zip(like.times, like.mesh_of_step, like.sources, strict=True)):
             _, content, same_rows = content_for(path, meshes[m], source, maps[m])
-            one = Path(folder) / f"{path.stem}.xdmf"
-            formats.save(one, content, None, same_rows)
-            grid = ET.parse(one).getroot().find("Domain/Grid")
-            assert grid is not None
-            grid.attrib.update({"Name": f"step {step}", "GridType": "Uniform"})
-            grid.insert(0, ET.Element("Time", Value=repr(float(time))))
-            collection.append(grid)
-        said = list(dict.fromkeys(str(r.message).replace(str(one), str(path)) for r in remarks))
+            save(one, content, None, same_rows)
+            collection.append(_as_step(one, step, time))
     with replacing(path) as made:
         ET.ElementTree(root).write(made, encoding="utf-8", xml_declaration=True)
-    for text in said:
-        warnings.warn(MeshWarning(text), stacklevel=2)
+    for text in dict.fromkeys(str(r.message).replace(str(one), str(path)) for r in remarks):
+        warn(text)
+
+
+def _as_step(path: Path, step: int, time: float) -> ET.Element:
+    """The one grid of a file, as a step of a series."""
+    grid = ET.parse(path).getroot().find("Domain/Grid")
+    assert grid is not None
+    grid.attrib.update({"Name": f"step {step}", "GridType": "Uniform"})
+    grid.insert(0, ET.Element("Time", Value=repr(float(time))))
+    return grid
 
 
 def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
-    """Time and mesh of each step: each grid of the collection as a document of its own, read by meshio."""
-    with formats.reading(path, "xdmf"):
+    """Time and mesh of each step.  meshio reads each grid of the collection as if it were a file of its own."""
+    with translated(path, "read", XDMF.name):
         domain = ET.parse(path).getroot().find("Domain")
         if domain is None:
             raise ValueError("it has no Domain")
@@ -159,21 +164,26 @@ def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
                 raise ValueError(f"step {number} is a collection of grids; give each part its own file")
             time = grid.find("Time")
             value = float(time.get("Value", number)) if time is not None else float(number)
-            alone = ET.Element("Grid")
-            for part in grid:
-                if isinstance(part.tag, str) and _INCLUDE.search(part.tag):
-                    alone.extend(_included(domain, part))
-                elif part.tag != "Time":
-                    alone.append(part)
-            root = ET.Element("Xdmf", Version="3.0")
-            ET.SubElement(root, "Domain").append(alone)
-            mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(root)
+            mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(_alone(domain, grid))
             if mesh.points is None or not mesh.cells:
                 raise ValueError(f"step {number} has no Geometry or no Topology")
             steps.append((value, mesh))
     if not steps:
         raise MeshIOError(f"{path}: its time series has no steps")
     return steps
+
+
+def _alone(domain: ET.Element, grid: ET.Element) -> ET.Element:
+    """A document with one grid of `domain`, in which references to other grids are replaced by what they name."""
+    alone = ET.Element("Grid")
+    for part in grid:
+        if isinstance(part.tag, str) and _INCLUDE.search(part.tag):
+            alone.extend(_included(domain, part))
+        elif part.tag != "Time":
+            alone.append(part)
+    root = ET.Element("Xdmf", Version="3.0")
+    ET.SubElement(root, "Domain").append(alone)
+    return root
 
 
 def _included(domain: ET.Element, include: ET.Element) -> list[ET.Element]:

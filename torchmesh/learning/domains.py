@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from ..errors import ConvergenceError
-from ..files.formats import load
+from ..files.documents import load
 from ..files.mesh_files import read
 from ..mesh.batch import MeshBatch, join
 from ..mesh.measure import quality

@@ -1,4 +1,4 @@
-"""Rows of numbers in text files, with errors that name the line."""
+"""Rows of numbers in text files: read with errors that quote the row, written without loss."""
 
 import itertools
 import warnings
@@ -7,8 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 
-def _numbers(rows: list[str], section: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All numbers of the rows, where each row begins among them, and how many it has."""
+def numbers_of(rows: list[str], section: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All numbers of the rows one after another, where each row begins among them, and how many it has.
+
+    Raises ValueError, naming the section, if a row has anything but numbers.
+    """
     widths = np.fromiter((len(row.split()) for row in rows), np.int64, len(rows))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -18,12 +21,12 @@ def _numbers(rows: list[str], section: str) -> tuple[np.ndarray, np.ndarray, np.
         except (DeprecationWarning, ValueError):
             complete = False
     if not complete:
-        raise ValueError(f"{section} has a row that is not numbers: {_not_numbers(rows)!r}")
+        raise ValueError(f"{section} has a row that is not numbers: {_first_bad_row(rows)!r}")
     return numbers, np.cumsum(widths) - widths, widths
 
 
-def _not_numbers(rows: list[str]) -> str:
-    """The first row that is not numbers only."""
+def _first_bad_row(rows: list[str]) -> str:
+    """The first row that has anything but numbers."""
     for row in rows:
         try:
             [float(word) for word in row.split()]
@@ -32,8 +35,11 @@ def _not_numbers(rows: list[str]) -> str:
     return ""
 
 
-def _rows(lines: Iterator[str], count: int, section: str) -> list[str]:
-    """The next `count` lines that hold something, without the remarks at their ends."""
+def next_rows(lines: Iterator[str], count: int, section: str) -> list[str]:
+    """The next `count` lines that are not empty, without comments (from % on).
+
+    Raises ValueError, naming the section, if the file ends before.
+    """
     rows: list[str] = []
     while len(rows) < count:
         more = list(itertools.islice(lines, count - len(rows)))
@@ -45,9 +51,9 @@ def _rows(lines: Iterator[str], count: int, section: str) -> list[str]:
 
 
 def number_lines(table: np.ndarray, before: str = "") -> Iterator[str]:
-    """The rows (n, m) as lines of text, `before` in front of each, some thousands at a time.
+    """The rows (n, m) as lines of text with `before` in front of each; a string has some thousands of lines.
 
-    Each number is as short as gives it back to the bit.
+    Each number has as many digits as it needs to be read back bit for bit.
     """
     line = before + " ".join(["%r"] * table.shape[1]) + "\n"
     for start in range(0, len(table), 1 << 14):

@@ -1,0 +1,149 @@
+"""The content of a file, put round the triangles of a new mesh."""
+
+from typing import NamedTuple
+
+import meshio
+import numpy as np
+import torch
+
+from ..mesh.batch import MeshBatch, lift
+from .content import Content
+from .correspondence import Correspondence
+from .fields import is_numbering, on_triangles, region_names
+from .source import default_fixed
+
+
+class _Block(NamedTuple):
+    """Cells to write: their type, their vertices (n, k), and for each the file's cell (counted over all blocks)."""
+
+    type: str
+    data: np.ndarray
+    origin: np.ndarray
+
+
+def carried(mesh: MeshBatch, old: Correspondence) -> tuple[meshio.Mesh, list[str]]:
+    """What to write: the file's mesh with the new triangles; and names for what has no place in it any more."""
+    file, dropped = old.source.content.mesh, []
+    names = [name for name in file.cell_data if not old.changed or _survives(old, name)]
+    dropped += [f"cell data {name!r}" for name in file.cell_data if name not in names]
+    sets = list(file.cell_sets) if old.example is not None else []
+    dropped += [f"cell set {name!r}" for name in file.cell_sets if name not in sets]
+    blocks = _blocks(old)
+    others = sum(len(b.data) for b in file.cells if b.type != "triangle")
+    lost = others - sum(len(b.data) for b in blocks if b.type != "triangle")
+    if lost:
+        dropped.append(f"{lost} cells whose vertices are gone")
+    result = meshio.Mesh(_positions(mesh, old), [meshio.CellBlock(b.type, b.data) for b in blocks])
+    for name in names:
+        values = np.concatenate(file.cell_data[name])
+        result.cell_data[name] = [values[b.origin] for b in blocks]
+    ends = np.cumsum([0] + [len(b.data) for b in file.cells])
+    for name in sets:
+        member = np.zeros(ends[-1], bool)
+        for start, rows in zip(ends[:-1], file.cell_sets[name], strict=True):
+            member[start + rows] = True
+        result.cell_sets[name] = [np.flatnonzero(member[b.origin]) for b in blocks]
+    dropped += _carry_point_data(old, result)
+    _mark_fixed(mesh, old, result)
+    result.field_data, result.info = file.field_data, file.info
+    # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.
+    vars(result).update({name: value for name, value in vars(file).items() if name not in vars(result)})
+    return result, dropped
+
+
+def _survives(old: Correspondence, name: str) -> bool:
+    """Does cell data hold for changed triangles?
+
+    Region tags do, if the regions can be told; so do the numbers of the rows, if the rows are the same.
+    """
+    file = old.source.content.mesh
+    if name in region_names(file):
+        return old.example is not None
+    return old.same_rows and is_numbering(on_triangles(file, file.cell_data[name]))
+
+
+def _blocks(old: Correspondence) -> list[_Block]:
+    """The cells to write.
+
+    Triangles stay in their rows if these are the same; otherwise all stand where the file's first ones do.  Other
+    cells stay where they are, less those of which a vertex is gone.
+    """
+    content = old.source.content
+    ends = np.cumsum([0] + [len(b.data) for b in content.mesh.cells])
+    blocks: list[_Block] = []
+    row, written = 0, False
+    for start, block in zip(ends[:-1], content.mesh.cells, strict=True):
+        if block.type != "triangle":
+            data = old.new_vertex[block.data]
+            keep = (data >= 0).all(1)
+            blocks.append(_Block(block.type, data[keep], start + np.flatnonzero(keep)))
+        elif old.same_rows:
+            own = content.triangle[row : row + len(block.data)]
+            blocks.append(_Block("triangle", old.faces[own], start + np.arange(len(block.data))))
+            row += len(block.data)
+        elif not written:
+            written = True
+            blocks += _triangle_blocks(content, old)
+    return [block for block in blocks if old.same_rows or len(block.data)]
+
+
+def _triangle_blocks(content: Content, old: Correspondence) -> list[_Block]:
+    """All new triangles; a second block repeats those whose example the file lists twice, and so on."""
+    cell_of_row = np.flatnonzero(
+        np.concatenate([np.full(len(b.data), b.type == "triangle") for b in content.mesh.cells])
+    )
+    example = np.zeros(len(old.faces), np.int64) if old.example is None else old.example
+    order, copies = content.triangle.argsort(kind="stable"), np.bincount(content.triangle)
+    first = np.cumsum(copies) - copies
+    blocks = []
+    for copy in range(int(copies.max())):
+        some = copies[example] > copy
+        blocks.append(_Block("triangle", old.faces[some], cell_of_row[order[first[example[some]] + copy]]))
+    return blocks
+
+
+def _positions(mesh: MeshBatch, old: Correspondence) -> np.ndarray:
+    """(V, 3) in space; vertices that have not moved in their plane get the file's own coordinates."""
+    given = old.source.content.mesh.points
+    given = np.pad(given, ((0, 0), (0, 3 - given.shape[1])))
+    points = lift(mesh).numpy()
+    points = points.astype(np.result_type(points, given))
+    before = np.flatnonzero(old.new_vertex >= 0)
+    now = old.new_vertex[before]
+    still = (old.source.mesh.points.to(mesh.points.dtype)[before] == mesh.points[now]).all(1).numpy()
+    points[now[still]] = given[before[still]]
+    return points
+
+
+def _carry_point_data(old: Correspondence, result: meshio.Mesh) -> list[str]:
+    """Gives `result` the point data and point sets; returns names for what has no values at new vertices."""
+    file, dropped = old.source.content.mesh, []
+    for name, values in file.point_data.items():
+        if name == "fixed":
+            continue
+        if (old.old_vertex >= 0).all():
+            result.point_data[name] = values[old.old_vertex]
+        elif old.vertex_map is not None:
+            native = np.ascontiguousarray(values, values.dtype.newbyteorder("="))
+            result.point_data[name] = old.vertex_map.carry(torch.from_numpy(native)).numpy()
+        else:
+            dropped.append(f"point data {name!r}")
+    for name, members in file.point_sets.items():
+        at = old.new_vertex[np.asarray(members, np.int64).reshape(-1)]
+        result.point_sets[name] = at[at >= 0]
+    return dropped
+
+
+def _mark_fixed(mesh: MeshBatch, old: Correspondence, result: meshio.Mesh) -> None:
+    """Stores `fixed` where the file has it, or where `read` would not find the same without it."""
+    marks = old.source.content.mesh.point_data.get("fixed")
+    if marks is not None:
+        kept = (old.old_vertex >= 0).all()
+        as_given = kept and bool((mesh.fixed == old.source.mesh.fixed[old.old_vertex]).all())
+        result.point_data["fixed"] = marks[old.old_vertex] if as_given else mesh.fixed.numpy().astype(marks.dtype)
+        return
+    before = np.flatnonzero(old.new_vertex >= 0)
+    pinned = np.zeros(len(mesh.points), bool)
+    pinned[old.new_vertex[before]] = old.source.content.pinned[before]
+    if bool((mesh.fixed != default_fixed(mesh, pinned)).any()):
+        result.point_data["fixed"] = mesh.fixed.numpy().astype(np.int32)

@@ -1,0 +1,140 @@
+"""What a file format is, and what one file of it holds."""
+
+import abc
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from ..fields import region_tag
+
+# meshio's name of a cell type: line, triangle, quad, polygon, vertex.  "higher" stands for all of _HIGHER.
+FLAT = ("triangle", "quad")
+LINEAR = ("line", *FLAT)
+ALL_BUT_POLYGONS = ("vertex", *LINEAR, "higher")
+ALL_CELLS = ("vertex", *LINEAR, "polygon", "higher")
+_HIGHER = re.compile(r"^(line|quad)\d+$")
+
+
+@dataclass(frozen=True)
+class Document:
+    """One mesh file as it was read.
+
+    mesh               the part of it that meshio's mesh type can hold
+    format             the name of its format
+    binary             is it binary; None where the format does not leave the choice
+    rest               the part that meshio's mesh type cannot hold, in the way of the format; None if there is none
+    repeats_triangles  does it list a triangle once for each group that the triangle is in
+    """
+
+    mesh: meshio.Mesh
+    format: str
+    binary: bool | None = None
+    rest: Any = None
+    repeats_triangles: bool = False
+
+
+@dataclass(frozen=True)
+class Format(abc.ABC):
+    """A file format: how it is read and written, and what it can hold.
+
+    name         as warnings and errors call it
+    extensions   in lower case with the dot; the first is the usual one
+    cells        the cell types that it can hold
+    point_data   "all"; "scalars": fields of one component only; "none"
+    cell_data    "all"; "regions": one integer field, called `region_name`; "none"
+    region_name  the name of the integer cell data (or point data) that is part of the format
+    cell_sets    can it hold named sets of cells
+    point_sets   can it hold named sets of points
+    field_data   can it hold data of the whole mesh, or names of groups
+    planar       have its points two coordinates instead of three
+    index_type   the integer type of cell rows where it must be a certain one
+    """
+
+    name: str
+    extensions: tuple[str, ...]
+    cells: tuple[str, ...] = ALL_CELLS
+    point_data: str = "all"
+    cell_data: str = "all"
+    region_name: str = ""
+    cell_sets: bool = False
+    point_sets: bool = False
+    field_data: bool = False
+    planar: bool = False
+    index_type: type | None = None
+
+    @abc.abstractmethod
+    def read(self, path: Path) -> Document:
+        """Reads a file that exists and is not empty.  Any exception means that it cannot be read."""
+
+    @abc.abstractmethod
+    def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        """Writes a mesh that `fit` gave.  Any exception means that it cannot be written.
+
+        like       a file of this format whose style (text or binary, version) and `rest` the new one takes over
+        same_rows  has the mesh the points and cells of `like`, row by row
+        """
+
+    def recognises(self, head: bytes) -> bool:
+        """Can a file with these first bytes (4096 at most) be of this format?
+
+        Only asked where several formats share an extension.
+        """
+        return True
+
+    def left_behind(self, document: Document, target: "Format", same_rows: bool) -> list[str]:
+        """Names for what of the `rest` of a file of this format is lost when its mesh is written as `target`."""
+        return []
+
+    def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        """The mesh without what the format cannot hold, and names for what was taken away."""
+        kept = [i for i, b in enumerate(mesh.cells) if ("higher" if _HIGHER.match(b.type) else b.type) in self.cells]
+        lost = {f"{b.type} cells" for i, b in enumerate(mesh.cells) if i not in kept}
+        cells = [mesh.cells[i] for i in kept]
+        if self.index_type is not None:
+            cells = [meshio.CellBlock(b.type, b.data.astype(self.index_type)) for b in cells]
+        cell_data = self._fit_cell_data(mesh, kept, lost)
+        point_data = self._fit_point_data(mesh, lost)
+        if not self.cell_sets:
+            lost |= {f"cell set {name!r}" for name in mesh.cell_sets}
+        if not self.point_sets:
+            lost |= {f"point set {name!r}" for name in mesh.point_sets}
+        if not self.field_data:
+            lost |= {f"field data {name!r}" for name in mesh.field_data}
+        fitted = meshio.Mesh(
+            mesh.points[:, :2] if self.planar else mesh.points,
+            cells,
+            point_data=point_data,
+            cell_data=cell_data,
+            field_data=dict(mesh.field_data),
+            cell_sets={n: [s[i] for i in kept] for n, s in mesh.cell_sets.items()} if self.cell_sets else None,
+            point_sets=mesh.point_sets if self.point_sets else None,
+            info=mesh.info,
+        )
+        # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.
+        vars(fitted).update({name: value for name, value in vars(mesh).items() if name not in vars(fitted)})
+        return fitted, lost
+
+    def _fit_cell_data(self, mesh: meshio.Mesh, kept: list[int], lost: set[str]) -> dict[str, list[np.ndarray]]:
+        """The cell data of the blocks `kept`; adds to `lost`."""
+        cell_data = {name: [values[i] for i in kept] for name, values in mesh.cell_data.items()}
+        if self.cell_data == "all":
+            return cell_data
+        tag = region_tag(mesh) if self.cell_data == "regions" else None
+        # Gmsh's number of an entity says nothing that a user has named: it goes without a word.
+        lost |= {f"cell data {name!r}" for name in cell_data if name not in (tag, "gmsh:geometrical")}
+        return {self.region_name: [v.astype(np.int64) for v in cell_data[tag]]} if tag else {}
+
+    def _fit_point_data(self, mesh: meshio.Mesh, lost: set[str]) -> dict[str, np.ndarray]:
+        """The point data that the format can hold; adds to `lost`."""
+
+        def held(name: str, values: np.ndarray) -> bool:
+            if self.point_data == "none":
+                return name == self.region_name
+            return self.point_data == "all" or np.ndim(values) == 1
+
+        lost |= {f"point data {name!r}" for name, values in mesh.point_data.items() if not held(name, values)}
+        return {name: values for name, values in mesh.point_data.items() if held(name, values)}

@@ -1,0 +1,60 @@
+"""Gmsh's files (.msh), versions 2.2 and 4.1, text and binary, without loss; version 4.0 is read by meshio.
+
+meshio's own reader forgets what its mesh type cannot hold (groups of entities without nodes, second physical
+groups, node numbers, partitions, periodicity) and refuses files whose groups cover only some of the entities.
+Here a file is the list of its sections.  Nodes and elements are parsed; all other sections are kept as the bytes
+that they are, and written back.
+
+    $MeshFormat ... $PhysicalNames ... $Entities ... $Nodes ... $Elements ... $NodeData ...
+
+    gmsh_file    the sections and the parsed tables      gmsh_write  a known file with new content
+    gmsh_read    a file from bytes                       gmsh_new    a new file for any mesh
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from ..fields import REGION_TAGS, region_tag
+from . import gmsh_read, gmsh_write
+from .format import ALL_BUT_POLYGONS, Document, Format
+from .gmsh_new import new_file
+
+# The sections that are parsed and built anew, and those that nobody misses.
+_KNOWN = ("MeshFormat", "PhysicalNames", "Entities", "Nodes", "Elements", "NodeData", "ElementData", "Comments")
+
+
+@dataclass(frozen=True)
+class GmshFormat(Format):
+    def read(self, path: Path) -> Document:
+        mesh, file = gmsh_read.read(path)
+        if file is None:
+            return Document(mesh, self.name)
+        return Document(mesh, self.name, file.binary, file, repeats_triangles=file.version == "2.2")
+
+    def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        file = like.rest if like is not None else None
+        if file is None or not same_rows:
+            binary = like is None or like.binary is None or like.binary
+            mesh, file = new_file(mesh, file.version if file else "4.1", binary, file)
+        gmsh_write.write(path, mesh, file)
+
+    def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        """Beside what other formats do, the regions become physical groups."""
+        fitted, lost = super().fit(mesh)
+        tag = region_tag(mesh)
+        if "gmsh:physical" not in fitted.cell_data and tag not in (None, "gmsh:geometrical"):
+            fitted.cell_data["gmsh:physical"] = [v.astype(np.int64) for v in fitted.cell_data[tag]]
+            if tag in REGION_TAGS:
+                del fitted.cell_data[tag]
+        return fitted, lost
+
+    def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
+        if document.rest is None or (target is self and same_rows):
+            return []
+        return [f"${name}" for name, _ in document.rest.sections if name not in _KNOWN]
+
+
+GMSH = GmshFormat("gmsh", (".msh",), ALL_BUT_POLYGONS, field_data=True)

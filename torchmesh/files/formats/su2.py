@@ -1,0 +1,160 @@
+"""SU2's planar mesh files (.su2).
+
+meshio loses the names of markers and all lines that it does not know.  Here those lines (boxes for free-form
+deformation, comments, ...) are kept and written back as they were.
+"""
+
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from .format import LINEAR, Document, Format
+from .text_numbers import next_rows, number_lines, numbers_of
+
+_TAG = "su2:tag"
+
+# SU2's number of each element type: meshio's name for it, its number of nodes.
+_KINDS = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4)}
+
+_NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
+
+
+@dataclass(frozen=True)
+class Su2Format(Format):
+    """The `rest` of a document is the list of lines that belong to no points, elements or markers."""
+
+    def read(self, path: Path) -> Document:
+        """Markers become line cells with the integer cell data `su2:tag`, which is 0 on other cells.
+
+        The names of markers stand in the field data as {name: [tag, 1]}, as Gmsh's groups do.
+        """
+        with open(path, encoding="utf-8", errors="surrogateescape") as stream:
+            mesh, rest = _parse(stream)
+        return Document(mesh, self.name, rest=rest)
+
+    def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        with open(path, "w", encoding="utf-8", errors="surrogateescape") as stream:
+            stream.writelines(_lines(mesh))
+            stream.writelines(line + "\n" for line in (like.rest if like is not None else []))
+
+    def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
+        if target is self:
+            return []
+        return [f"lines such as {line.strip()!r}" for line in document.rest if not line.lstrip().startswith("%")][:1]
+
+
+SU2 = Su2Format(
+    "su2", (".su2",), ("vertex", *LINEAR), point_data="none", cell_data="regions", region_name=_TAG,
+    field_data=True, planar=True,
+)  # fmt: skip
+
+
+def _parse(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
+    """The mesh and the lines that are not understood; no more lines are held at a time than a section has.
+
+    Raises ValueError for anything but a complete planar mesh of one zone.
+    """
+    points: np.ndarray | None = None
+    rest: list[str] = []
+    cells: list[tuple[str, int, np.ndarray]] = []
+    names: dict[str, int] = {}
+    tag = markers = found = 0
+    for line in lines:
+        match = re.match(r"\s*(\w+)\s*=\s*([^%]*)", line)
+        key, value = (match[1].upper(), match[2].strip()) if match else ("", "")
+        if key == "NDIME":
+            if int(value) != 2:
+                raise ValueError("NDIME is not 2: only planar meshes can be improved")
+        elif key == "NZONE":
+            if int(value) != 1:
+                raise ValueError("it has several zones; give each zone its own file")
+        elif key == "NPOIN":
+            rows = next_rows(lines, int(value.split()[0]), "NPOIN")
+            numbers, starts, widths = numbers_of(rows, "NPOIN")
+            if len(rows) and widths.min() < 2:
+                raise ValueError(f"a point needs two coordinates: {rows[int(widths.argmin())].strip()!r}")
+            points = numbers[starts[:, None] + np.arange(2)]
+        elif key == "NMARK":
+            markers = int(value)
+        elif key == "MARKER_TAG":
+            name, found = value, found + 1
+            if not name:
+                raise ValueError("a MARKER_TAG has no name")
+            if name not in names:
+                number = int(name) if re.fullmatch(r"\d+", name) and int(name) > 0 else 1
+                while number in names.values():
+                    number += 1
+                names[name] = number
+            tag = names[name]
+        elif key in ("NELEM", "MARKER_ELEMS"):
+            own = tag if key == "MARKER_ELEMS" else 0
+            for kind, nodes in _elements(next_rows(lines, int(value), key), key):
+                if cells and cells[-1][:2] == (kind, own):
+                    nodes = np.concatenate([cells.pop()[2], nodes])
+                cells.append((kind, own, nodes))
+        elif line.strip():
+            rest.append(line.rstrip("\n"))
+    if points is None or not cells:
+        raise ValueError("it has no NPOIN or no NELEM section")
+    if found != markers:
+        raise ValueError(f"NMARK says {markers} markers, the file has {found}")
+    data = {_TAG: [np.full(len(nodes), own) for _, own, nodes in cells]}
+    groups = {name: np.array([number, 1]) for name, number in names.items()}
+    return meshio.Mesh(points, [(k, nodes) for k, _, nodes in cells], cell_data=data, field_data=groups), rest
+
+
+def _elements(rows: list[str], section: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Runs of elements of one type: its name and the nodes (n, width)."""
+    numbers, starts, widths = numbers_of(rows, section)
+    kinds = numbers[starts]
+    ends = [0, *(1 + np.flatnonzero(np.diff(kinds))).tolist(), len(rows)]
+    for begin, end in itertools.pairwise(ends):
+        if begin == end:
+            continue
+        kind = int(kinds[begin])
+        if kind not in _KINDS:
+            raise ValueError(f"element type {kind} is not planar or not known")
+        name, width = _KINDS[kind]
+        short = widths[begin:end] < 1 + width
+        if short.any():
+            row = rows[begin + int(short.argmax())].strip()
+            raise ValueError(f"an element of type {kind} needs {width} points: {row!r}")
+        nodes = numbers[starts[begin:end, None] + 1 + np.arange(width)]
+        if (nodes != np.floor(nodes)).any():
+            row = rows[begin + int((nodes != np.floor(nodes)).any(1).argmax())].strip()
+            raise ValueError(f"the points of an element are whole numbers: {row!r}")
+        yield name, nodes.astype(np.int64)
+
+
+def _lines(mesh: meshio.Mesh) -> Iterator[str]:
+    """The file of a mesh with points (V, 2), in runs of whole lines.
+
+    Triangles and quads are its elements; lines and vertices are markers by their `su2:tag`.
+    """
+    names = {int(v[0]): name for name, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 1}
+    inner = [block for block in mesh.cells if block.type in ("triangle", "quad")]
+    members: dict[int, list[str]] = {tag: [] for tag in names}
+    counts = dict.fromkeys(names, 0)
+    for i, block in enumerate(mesh.cells):
+        if block.type in ("triangle", "quad"):
+            continue
+        tags = mesh.cell_data[_TAG][i] if _TAG in mesh.cell_data else np.ones(len(block.data), np.int64)
+        for tag in dict.fromkeys(tags.tolist()):
+            rows = block.data[tags == tag]
+            members.setdefault(tag, []).extend(number_lines(rows, f"{_NUMBERS[block.type]} "))
+            counts[tag] = counts.get(tag, 0) + len(rows)
+    yield f"NDIME= 2\nNELEM= {sum(len(block.data) for block in inner)}\n"
+    for block in inner:
+        yield from number_lines(block.data, f"{_NUMBERS[block.type]} ")
+    yield f"NPOIN= {len(mesh.points)}\n"
+    yield from number_lines(np.asarray(mesh.points))
+    yield f"NMARK= {len(members)}\n"
+    for tag, lines in members.items():
+        name = "_".join(names.get(tag, str(tag)).split())
+        yield f"MARKER_TAG= {name}\nMARKER_ELEMS= {counts[tag]}\n"
+        yield from lines

@@ -1,0 +1,70 @@
+"""What is said about a file: warnings at the line of the caller, and the errors of libraries as errors of ours."""
+
+import contextlib
+import io
+import re
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import MeshError, MeshIOError, MeshWarning, MissingDependencyError
+
+# Remarks of meshio that are of no interest, or about what was done on purpose.
+_NOISE = re.compile(r"only meant for debugging|64-bit integers|legacy format|Experimental file|converting to|^\s*$")
+
+_PACKAGE = str(Path(__file__).parents[1])
+
+
+def warn(text: str) -> None:
+    """A MeshWarning that points to the first line outside of torchmesh that led to it."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith((_PACKAGE, contextlib.__file__)):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(MeshWarning(text), stacklevel=level)
+
+
+@contextlib.contextmanager
+def translated(path: Path, verb: str, form: str) -> Iterator[None]:
+    """Inside, a library prints nothing and raises nothing foreign.
+
+    Its remarks become MeshWarnings, its exceptions a MeshIOError of one line that names the file.  meshio prints its
+    remarks, and calls sys.exit after some of them.
+
+    verb  "read" or "write"
+    form  the name of the format
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with np.errstate(all="ignore"):
+                yield
+    except (MeshError, PermissionError):
+        raise
+    except ImportError as error:
+        package = (error.name or "a package").split(".")[0]
+        wheel = "'torchmesh-untangle[exodus]'" if package == "netCDF4" else package
+        raise MissingDependencyError(
+            f"{path}: {form} files need the package {package}; install it (pip install {wheel})"
+        ) from None
+    except (Exception, SystemExit) as error:
+        what = f"read as {form}" if verb == "read" else "written"
+        raise MeshIOError(f"{path}: cannot be {what}: {_reason(error, said.getvalue(), verb)}") from None
+    for remark in re.split(r"(?:Warning|Info|Error):", said.getvalue()):
+        remark = " ".join(remark.split())
+        if not _NOISE.search(remark):
+            warn(f"{path}: {remark}")
+
+
+def _reason(error: BaseException, said: str, verb: str) -> str:
+    """In one line, what an exception and what was printed before it say."""
+    if isinstance(error, OSError) and error.errno and error.strerror:
+        return error.strerror
+    text = " ".join(str(error).split()) if not isinstance(error, SystemExit) else ""
+    if isinstance(error, LookupError | AssertionError | UnboundLocalError | AttributeError):
+        # The text of such an exception is of no use without its type: the reader met what it did not expect.
+        return f"{type(error).__name__} {text}".strip() + (": the file is damaged or unusual" if verb == "read" else "")
+    return text or " ".join(said.split()) or type(error).__name__

@@ -1,0 +1,84 @@
+"""A mesh file that was read: its content, and the batch of one mesh that is made of it."""
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..errors import InvalidMeshError, MeshIOError
+from ..mesh import connectivity
+from ..mesh.batch import MeshBatch
+from .content import Content
+from .documents import load
+from .formats.format import Document
+from .messages import warn
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A file that was read.  `write(..., like=source)` need not read it again.
+
+    path      where it is
+    document  all that is in it
+    content   the same taken apart: what of it binds the triangles
+    mesh      the batch of one that `read` gives
+    """
+
+    path: Path
+    document: Document
+    content: Content
+    mesh: MeshBatch
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> "Source":
+        """Raises and warns as `read` does."""
+        path = as_path(path)
+        return cls.of(load(path), path)
+
+    @classmethod
+    def of(cls, document: Document, path: Path) -> "Source":
+        """Raises InvalidMeshError and warns as `read` does."""
+        content = Content.of(document, path)
+        return cls(path, document, content, _batch(content, path))
+
+
+def as_path(path: str | os.PathLike[str]) -> Path:
+    """Raises MeshIOError for anything else."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise MeshIOError(f"{path!r} is not a path") from None
+
+
+def default_fixed(mesh: MeshBatch, pinned: np.ndarray | None = None) -> torch.Tensor:
+    """(V,) bool: the vertices that `read` finds fixed in a file of this mesh without point data `fixed`.
+
+    pinned  (V,) bool, vertices of cells that must not change shape
+    """
+    count = len(mesh.points)
+    fixed = connectivity.boundary_vertices(mesh.triangles, connectivity.twins(mesh.triangles), count)
+    fixed[mesh.constrained_edges.reshape(-1)] = True
+    fixed |= connectivity.vertex_triangle_counts(mesh.triangles, count) == 0
+    return fixed if pinned is None else fixed | torch.from_numpy(pinned)
+
+
+def _batch(content: Content, path: Path) -> MeshBatch:
+    """The triangles of a file.  Errors and warnings of MeshBatch.from_arrays name the file."""
+    fixed = content.pinned if content.fixed is None else content.pinned | content.fixed
+    faces = content.rows[content.first]
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            mesh = MeshBatch.from_arrays(content.mesh.points, faces, fixed, content.constrained)
+    except InvalidMeshError as error:
+        raise InvalidMeshError(f"{path}: {error}") from None
+    # Vertices of quads and lines belong to no triangle, and nothing is wrong with them.
+    lost = np.setdiff1d(np.flatnonzero(~content.elsewhere), faces)
+    texts = [str(w.message) for w in said if "belong to no triangle" not in str(w.message)]
+    texts += [f"{len(lost)} vertices belong to no cell; they are kept"] if len(lost) else []
+    for text in texts:
+        warn(f"{path}: {text}")
+    return mesh
