@@ -20,7 +20,7 @@ def _needs_torch_geometric():
 
 
 def same(a: tm.MeshBatch, b: tm.MeshBatch) -> bool:
-    names = [f.name for f in dataclasses.fields(a)]
+    names = [f.name for f in dataclasses.fields(a) if not f.name.startswith("_")]
     return all(getattr(a, n).dtype == getattr(b, n).dtype and torch.equal(getattr(a, n), getattr(b, n)) for n in names)
 
 

@@ -136,7 +136,7 @@ def _new_regions(mesh: MeshBatch, old: MeshBatch, region: np.ndarray, new_vertex
     found = keys[at] == wanted if len(keys) else np.zeros(len(wanted), bool)
     blocked = torch.zeros(3 * len(mesh.triangles), dtype=torch.bool)
     blocked[now] = True
-    component = connectivity.triangle_components(mesh.triangles, connectivity.twins(mesh.triangles), blocked).numpy()
+    component = connectivity.triangle_components(mesh.triangles, mesh.twin, blocked).numpy()
     low = np.full(int(component.max()) + 1, np.iinfo(np.int64).max)
     high = np.full(len(low), -1)
     owner = component[(now // 3).numpy()[found]]
@@ -147,7 +147,7 @@ def _new_regions(mesh: MeshBatch, old: MeshBatch, region: np.ndarray, new_vertex
 
 def _separating(mesh: MeshBatch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """The half-edges on the boundary or on constrained edges, their tails and their heads."""
-    twin, count = connectivity.twins(mesh.triangles), len(mesh.points)
+    twin, count = mesh.twin, len(mesh.points)
     tail, head = connectivity.tails(mesh.triangles), connectivity.heads(mesh.triangles)
     kept = connectivity.edge_keys(mesh.constrained_edges[:, 0], mesh.constrained_edges[:, 1], count)
     row = ((twin < 0) | torch.isin(connectivity.edge_keys(tail, head, count), kept)).nonzero().squeeze(1)

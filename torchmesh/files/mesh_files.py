@@ -61,7 +61,7 @@ def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     content, mesh = source.content, source.mesh
     hold = torch.from_numpy(content.pinned | content.seams)
     if content.fixed is not None:
-        boundary = connectivity.boundary_vertices(mesh.triangles, connectivity.twins(mesh.triangles), len(hold))
+        boundary = connectivity.boundary_vertices(mesh.triangles, mesh.twin, len(hold))
         marked = torch.from_numpy(content.fixed)
         if not bool(marked[boundary].all()):
             hold |= marked

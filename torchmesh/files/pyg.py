@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError, MissingDependencyError
 from ..mesh.batch import MeshBatch, join
-from ..mesh.connectivity import edges, twins
+from ..mesh.connectivity import edges
 
 
 def to_pyg(batch: MeshBatch) -> Any:
@@ -28,7 +28,7 @@ def to_pyg(batch: MeshBatch) -> Any:
     data, batched = _torch_geometric()
     graphs = []
     for mesh in batch.split():
-        edge = edges(mesh.triangles, twins(mesh.triangles)).T
+        edge = edges(mesh.triangles, mesh.twin).T
         graphs.append(
             data(
                 pos=mesh.points,
