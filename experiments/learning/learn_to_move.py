@@ -128,8 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--triangles", type=int, default=300, help="triangles of a mesh, about")
     parser.add_argument("--batch", type=int, default=8, help="meshes in a training step")
     parser.add_argument("--weight", type=float, default=50.0, help="weight of the untangle loss")
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.parse(parser, argv)
     train_set = Task.draw(given.meshes, 1, given.triangles)
     test_set = Task.draw(given.meshes // 4, 2, given.triangles)
     logs, networks, rows = {}, {}, []

@@ -11,8 +11,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-import torch
-
 import torchmesh as tm
 from experiments.quality.limits import least_mean_without_interior
 from experiments.shared import arguments, boundary, tables
@@ -25,11 +23,7 @@ TITLES = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = arguments.parser(__doc__)
-    arguments.add_sizes(parser, 300, 2000)
-    arguments.add_cache(parser)
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.sizes_and_cache(__doc__, argv, 300, 2000)
     print(tables.head(TITLES))
     for triangles in given.triangles:
         for family, value in CASES:

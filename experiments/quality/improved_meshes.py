@@ -15,8 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-import torch
-
 import torchmesh as tm
 from experiments.quality.limits import boundary_limits
 from experiments.quality.variants import VARIANTS, drawn
@@ -47,8 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="variants whose name has this text")
     parser.add_argument("--seed", type=int, help="draw variants by this seed in place of those that have names here")
     parser.add_argument("--out", type=Path, help="a file for the table")
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.parse(parser, argv)
     variants = VARIANTS if given.seed is None else drawn(given.seed)
     chosen = {name: make for name, make in variants.items() if given.only in name}
     if not chosen:

@@ -20,8 +20,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-import torch
-
 import torchmesh as tm
 from experiments.quality.poisson_solver import solve
 from experiments.shared import arguments, tables
@@ -148,8 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = arguments.parser(__doc__)
     arguments.add_out(parser, "poisson")
     parser.add_argument("--only", default="", help="domains whose name has this text")
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.parse(parser, argv)
     every = domains()
     rows = [row for name, pair in every.items() if given.only in name for row in rows_of(name, *pair)]
     if not rows:

@@ -13,8 +13,6 @@ import sys
 import time
 from collections.abc import Sequence
 
-import torch
-
 import torchmesh as tm
 from experiments.shared import arguments, tables
 from experiments.shared.tangles import tangle
@@ -28,11 +26,7 @@ CASES = [
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = arguments.parser(__doc__)
-    arguments.add_sizes(parser, 300, 2000)
-    arguments.add_cache(parser)
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.sizes_and_cache(__doc__, argv, 300, 2000)
     options = tm.ImproveOptions(workers=1)
     wins, means, spent = dict.fromkeys(MEMBERS, 0), dict.fromkeys((*MEMBERS, "best"), 0.0), [0.0, 0.0]
     print(tables.head(("tangle", "triangles", *MEMBERS, "seconds, as it is", "seconds, all three")))

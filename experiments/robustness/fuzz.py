@@ -165,8 +165,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first of them")
     parser.add_argument("--topology", choices=["flip", "full"], default="flip", help="unless options are drawn")
     parser.add_argument("--cross", action="store_true", help="draw options for each case")
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.parse(parser, argv)
     started, failed, done, refused = time.perf_counter(), 0, 0, 0
     for seed in range(given.seed, given.seed + given.count):
         try:

@@ -23,8 +23,6 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-import torch
-
 import torchmesh as tm
 from experiments.robustness.success import draw, tables_of
 from experiments.robustness.ways import PROMISE, USUAL, WAYS
@@ -89,8 +87,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    given = options().parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.parse(options(), argv)
     given.out.mkdir(parents=True, exist_ok=True)
     record = given.out / "never_give_up.jsonl"
     rows = [json.loads(line) for line in record.read_text().splitlines()] if record.exists() else []

@@ -84,8 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--triangles", type=int, default=600, help="triangles of a mesh, about")
     parser.add_argument("--grading", type=float, default=0.3, help="mesh size at the body as a part of that far away")
     arguments.add_cache(parser)
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.parse(parser, argv)
     solved, spent = dict.fromkeys(METHODS, 0), dict.fromkeys(METHODS, 0.0)
     print(tables.head(("tangle", *METHODS)))
     for family, value in CASES:

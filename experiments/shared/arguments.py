@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+
+from experiments.shared import clocks
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
@@ -27,3 +30,18 @@ def add_sizes(options: argparse.ArgumentParser, *default: int) -> None:
     options.add_argument(
         "--triangles", type=int, nargs="+", default=list(default), help="about so many triangles a mesh"
     )
+
+
+def parse(options: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """The arguments; from here on one thread works, which is how everything is measured."""
+    given = options.parse_args(argv)
+    clocks.one_thread()
+    return given
+
+
+def sizes_and_cache(description: str | None, argv: Sequence[str] | None, *triangles: int) -> argparse.Namespace:
+    """The arguments of a script that has no options but --triangles and --cache."""
+    options = parser(description)
+    add_sizes(options, *triangles)
+    add_cache(options)
+    return parse(options, argv)

@@ -137,8 +137,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    given = options().parse_args(argv)
-    clocks.one_thread()
+    given = arguments.parse(options(), argv)
     sizes = sorted(given.triangles)
     rows: list[Row] = []
     tired: set[str] = set()

@@ -153,11 +153,7 @@ def packed(mesh: tm.MeshBatch, length: Tensor, alike: bool) -> tuple[MeshObjecti
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = arguments.parser(__doc__)
-    arguments.add_sizes(parser, 2000, 16000)
-    arguments.add_cache(parser)
-    given = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    given = arguments.sizes_and_cache(__doc__, argv, 2000, 16000)
     titles = ("problem", "method", "above the lowest energy by", "iterations", "passes", "seconds")
     print(tables.head(titles))
     for triangles in given.triangles:

@@ -67,8 +67,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    given = options().parse_args(argv)
-    clocks.one_thread()
+    given = arguments.parse(options(), argv)
     setting = Setting(given.cache, given.repeats, given.meshes, given.small, given.medium, given.large, given.full)
     rows: list[Row] = []
     print(clocks.machine())

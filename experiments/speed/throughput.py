@@ -138,9 +138,8 @@ def options() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    given = options().parse_args(argv)
+    given = arguments.parse(options(), argv)
     counts = given.workers or sorted({min(2**k, processors()) for k in range(processors().bit_length() + 1)})
-    torch.set_num_threads(1)
 
     given.out.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
