@@ -150,6 +150,13 @@ def test_a_public_module_is_one_module_wherever_it_lies(name):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("name", sorted(torchmesh._MODULES))
+def test_a_public_module_shows_its_public_names_only(name):
+    module = getattr(torchmesh, name)
+    assert dir(module) == sorted(module.__all__)
+    assert not [public for public in module.__all__ if public.startswith("_") or not hasattr(module, public)]
+
+
 # A notch pushed into a square, which averaging does not untangle.
 FIRST_CALL = """
 import sys, torch, torchmesh as tm

@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 
-import numpy as np
 import pytest
 import torch
 
@@ -110,16 +109,15 @@ def test_wrong_options_are_refused_when_given(options, message):
         domains.pairs(**options)
 
 
-def test_too_few_triangles_for_a_good_mesh_are_refused_by_name(monkeypatch):
-    monkeypatch.setattr(domains, "_DOMAIN_TRIES", 3)
-    with pytest.raises(tm.ConvergenceError, match=r"domain 0 .*'spiral'.*100 triangles"):
-        domains.generate(1, ["spiral"], triangles=100)
+def test_too_few_triangles_for_a_good_mesh_are_refused_by_name():
+    with pytest.raises(tm.ConvergenceError, match=r"domain 0 .*'spiral'.*: 3 were drawn.*100 triangles"):
+        domains.generate(1, ["spiral"], triangles=100, drawing=domains.DrawOptions(domain_tries=3))
 
 
-def test_the_stream_goes_on_where_narrow_parts_need_more_triangles(monkeypatch):
+def test_the_stream_goes_on_where_narrow_parts_need_more_triangles():
     """Spirals cannot be had with 100 triangles: after the tries as asked they get more, domain by domain."""
-    monkeypatch.setattr(domains, "_DOMAIN_TRIES_AS_ASKED", 0)
-    moved = domains.generate(1, ["spiral"], triangles=100, motions=1)
+    drawing = domains.DrawOptions(domain_tries_as_asked=0)
+    moved = domains.generate(1, ["spiral"], triangles=100, motions=1, drawing=drawing)
     assert moved.undeformed.triangles.shape[0] > 150
     assert tm.quality(moved.undeformed).mean.max() <= domains.MAX_MEAN
 
@@ -131,11 +129,3 @@ def test_the_count_must_be_positive():
 
 def test_one_family_may_be_given_as_a_string():
     assert domains.DomainOptions("holes").families == ("holes",)
-
-
-def test_wishes_come_evenly():
-    options = domains.DomainOptions(tangled=0.3)
-    wishes = np.array([domains._wished(options, n) for n in range(2000)])
-    for length in (20, 100, 1000):
-        sums = np.convolve(wishes, np.ones(length), "valid")
-        assert np.abs(sums - 0.3 * length).max() <= 3

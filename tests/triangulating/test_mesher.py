@@ -5,7 +5,6 @@ import pytest
 import torch
 
 import torchmesh as tm
-from torchmesh.learning import families
 from torchmesh.triangulating import mesher as meshing
 from torchmesh.triangulating.mesher import MeshingError, Outline, mesh_outline
 
@@ -97,25 +96,3 @@ def test_outline_edges_that_are_not_delaunay_are_recovered_exactly(monkeypatch):
 def test_loops_that_bound_no_domain_are_refused(loops):
     with pytest.raises(MeshingError, match="bounds no domain"):
         mesh_outline(Outline(loops, (1.0,) * len(loops)), 300, np.random.default_rng(0))
-
-
-def test_naca_0012_has_its_thickness_and_a_sharp_end():
-    wing = families.naca(0.0, 0.4, 0.12, points=200)
-    assert np.allclose(wing[:, 1].max(), 0.06, atol=2e-4)
-    assert np.allclose(wing[0], [0.5, 0.0], atol=1e-3)
-    # Counter-clockwise, symmetric.
-    z = wing[:, 0] + 1j * wing[:, 1]
-    assert 0.5 * np.sum(np.conj(z) * np.roll(z, -1)).imag > 0
-    assert np.allclose(wing[1:200, 1], -wing[:-200:-1, 1], atol=1e-12)
-
-
-@pytest.mark.parametrize("name", sorted(families.LETTERS))
-def test_letters_have_their_area_and_holes(name):
-    loops = families.letter_loops(name)
-    cells = "".join(families.LETTERS[name]).count("#")
-    cell = (2 / len(families.LETTERS[name])) ** 2
-    areas = [0.5 * np.sum(np.conj(z) * np.roll(z, -1)).imag for z in (p[:, 0] + 1j * p[:, 1] for p in loops)]
-    assert areas[0] > 0
-    assert all(area < 0 for area in areas[1:])
-    assert sum(areas) == pytest.approx(cells * cell)
-    assert len(loops) == 1 + {"A": 1, "O": 1, "P": 1}.get(name, 0)

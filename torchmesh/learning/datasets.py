@@ -19,11 +19,17 @@ from ..files.hdf5 import BatchFile
 from ..mesh.batch import MeshBatch, join
 from .domains import FAMILIES, DomainOptions, pairs
 
+__all__ = ["GeneratedMeshes", "MeshDataset", "Pair", "collate"]
+
+# The point field of a file that holds the undeformed points.
 _UNDEFORMED = "undeformed"
 
-
-# Generated meshes are cut out of batches of so many motions; it changes no mesh.
+# Generated meshes are split out of batches of so many; the number changes no mesh.
 _AT_ONCE = 64
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 class Pair(NamedTuple):
@@ -39,9 +45,9 @@ class MeshDataset(Dataset):
     paths  a file or files, as `torchmesh generate` makes them
     pairs  items are `Pair`s, for files with the point field "undeformed", in place of a mesh
 
-    An item is a batch of one mesh, on the CPU.  Each process opens the files for itself when it
-    first reads from them, so workers of a DataLoader may be forked or spawned.  Raises MeshIOError,
-    naming the file, for what is not such a file or lacks the field.
+    An item is a batch of one mesh, on the CPU.  Each process opens the files for itself when it first reads from them,
+    so that workers of a DataLoader may be forked or spawned.  Raises MeshIOError, naming the file, for one that is no
+    such file or lacks the field.
     """
 
     def __init__(
@@ -89,11 +95,10 @@ class MeshDataset(Dataset):
 class GeneratedMeshes(IterableDataset):
     """The endless stream of `tm.domains`, mesh by mesh; workers of a DataLoader share its domains.
 
-    families, options  as for `tm.domains.stream`: seed, triangles, tangled, motions, shard
+    families, options  as for `tm.domains.stream`: seed, triangles, tangled, motions, shard, drawing
     pairs              items are `Pair`s in place of deformed meshes
 
-    Worker i of n takes the domains i, i + n, ...: the same meshes come for any number of workers, in
-    another order.
+    Worker i of n takes the domains i, i + n, ...  So any number of workers gives the same meshes, in another order.
     """
 
     def __init__(self, families: Sequence[str] = tuple(FAMILIES), *, pairs: bool = False, **options: Any) -> None:
@@ -112,9 +117,9 @@ class GeneratedMeshes(IterableDataset):
 
 
 def collate(items: Sequence[Any]) -> Any:
-    """One batch of a list of meshes; of tuples and dicts of meshes and tensors, likewise part by part.
+    """Make one batch of a list of meshes; of a list of tuples or dicts, make one of each part.
 
-    For `DataLoader(collate_fn=...)`.  Tensors and numbers are stacked as `default_collate` does.
+    This is for `DataLoader(collate_fn=...)`.  Tensors and numbers are stacked as `default_collate` does.
     """
     first = items[0]
     if isinstance(first, MeshBatch):

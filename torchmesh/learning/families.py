@@ -1,20 +1,23 @@
-"""Random domains and random motions of them: what `tm.domains` draws from.
+"""Random domains and random motions of them, which `tm.domains` draws from.
 
-A family draws a `Scene`: an outline to mesh, and a way to draw motions of it.  A motion takes the
-outline's vertices along a path, t from 0 (at rest) to 1.  Lengths are in the domain's own unit,
-about the height of its box.
+A family draws a `Scene`: an outline to mesh, and a way to draw motions of it.  A motion takes the outline's vertices
+along a path, from t = 0 (at rest) to t = 1.  Lengths are in the domain's own unit, about the height of its box.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from ..triangulating.mesher import Outline
+from .outlines import LETTERS, laid_along, letter_loops, naca, notched, regular_polygon, spiral_loop
 
-# (Nb, 2) vertices on the outline at rest and (Nb,) the loop of each, to where they are at t.
+# From (Nb, 2) vertices on the outline at rest, (Nb,) the loop of each, and t to (Nb, 2) their positions at t.
 Motion = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+
+
+# Holes keep this distance from one another and from the rectangle around them; each centre is drawn so often at most.
+_GAP, _CENTRE_TRIES = 0.06, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,7 @@ def airfoil(rng: np.random.Generator) -> Scene:
     """A NACA airfoil of chord 1 in a round far field, finely meshed, turned by up to 150 degrees and moved."""
     reach = rng.uniform(3.0, 6.0)
     wing = naca(rng.uniform(0.0, 0.06), rng.uniform(0.25, 0.55), rng.uniform(0.08, 0.2))
-    outline = Outline((reach * _ring(96), wing[::-1]), (1.0, rng.uniform(0.08, 0.15)))
+    outline = Outline((reach * regular_polygon(96), wing[::-1]), (1.0, rng.uniform(0.08, 0.15)))
 
     def motion(rng: np.random.Generator) -> Motion:
         angle = rng.uniform(-150, 150) * np.pi / 180
@@ -67,10 +70,10 @@ def gate(rng: np.random.Generator) -> Scene:
     """A rectangle with one or two notches in its floor and ceiling, each pushed in or pulled out and bent aside."""
     width, thick = rng.uniform(1.4, 2.2), rng.uniform(0.08, 0.2, 2)
     depth = rng.uniform(0.15, 0.35, 2)
-    place = np.array([rng.uniform(0.25, 0.4), rng.uniform(0.6, 0.75)]) * width
+    middle = np.array([rng.uniform(0.25, 0.4), rng.uniform(0.6, 0.75)]) * width
     twice = bool(rng.integers(2))
-    floor = _notched(width, place[0], thick[0], depth[0])
-    ceiling = _notched(width, width - place[1], thick[1], depth[1]) if twice else np.array([[0.0, 0], [width, 0]])
+    floor = notched(width, middle[0], thick[0], depth[0])
+    ceiling = notched(width, width - middle[1], thick[1], depth[1]) if twice else np.array([[0.0, 0], [width, 0]])
     outline = Outline((np.concatenate([floor, [width, 1.0] - ceiling]),), (1.0,))
 
     def motion(rng: np.random.Generator) -> Motion:
@@ -80,7 +83,7 @@ def gate(rng: np.random.Generator) -> Scene:
             moved = p.copy()
             for i, height in enumerate((p[:, 1], 1 - p[:, 1])[: 1 + twice]):
                 # The end of the notch goes all the way, its flanks in proportion to their depth.
-                part = np.where(np.abs(p[:, 0] - place[i]) < 0.51 * thick[i], np.clip(height / depth[i], 0, 1), 0)
+                part = np.where(np.abs(p[:, 0] - middle[i]) < 0.51 * thick[i], np.clip(height / depth[i], 0, 1), 0)
                 moved += t * part[:, None] * push[i] * (1, 1 - 2 * i)
             return moved
 
@@ -124,8 +127,8 @@ def spiral(rng: np.random.Generator) -> Scene:
 
 
 def onto(rng: np.random.Generator) -> Scene:
-    """A disc whose rim is laid, at equal steps, onto the outline of a block letter or of a spiral."""
-    outline = Outline((_ring(96),), (1.0,))
+    """A disc whose boundary is laid, at equal steps, onto the outline of a block letter or of a spiral."""
+    outline = Outline((regular_polygon(96),), (1.0,))
     simple = [name for name in LETTERS if len(letter_loops(name)) == 1]
 
     def motion(rng: np.random.Generator) -> Motion:
@@ -136,7 +139,7 @@ def onto(rng: np.random.Generator) -> Scene:
         shift = int(rng.integers(0, len(goal)))
 
         def move(p: np.ndarray, loop: np.ndarray, t: float) -> np.ndarray:
-            return (1 - t) * p + t * _laid_along(np.roll(goal, -shift, 0), len(p))
+            return (1 - t) * p + t * laid_along(np.roll(goal, -shift, 0), len(p))
 
         return move
 
@@ -148,69 +151,12 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Scene]] = {
 }
 
 
-# Block letters on a grid of cells; a cell that touches another does so along an edge.
-LETTERS = {
-    "A": ("###", "#.#", "###", "#.#", "#.#"),
-    "C": ("###", "#..", "#..", "#..", "###"),
-    "E": ("###", "#..", "###", "#..", "###"),
-    "F": ("###", "#..", "###", "#..", "#.."),
-    "G": ("####", "#...", "#.##", "#..#", "####"),
-    "H": ("#.#", "#.#", "###", "#.#", "#.#"),
-    "L": ("#..", "#..", "#..", "#..", "###"),
-    "O": ("###", "#.#", "#.#", "#.#", "###"),
-    "P": ("###", "#.#", "###", "#..", "#.."),
-    "S": ("###", "#..", "###", "..#", "###"),
-    "T": ("###", ".#.", ".#.", ".#.", ".#."),
-    "U": ("#.#", "#.#", "#.#", "#.#", "###"),
-}
-
-
-def letter_loops(name: str) -> tuple[np.ndarray, ...]:
-    """The corners of a block letter about the origin, two units high: outer loop counter-clockwise, holes clockwise."""
-    rows = LETTERS[name]
-    cells = [shapely.box(x, -y, x + 1, 1 - y) for y, row in enumerate(rows) for x, c in enumerate(row) if c == "#"]
-    polygon = shapely.orient_polygons(shapely.simplify(shapely.union_all(cells), 0.0))
-    middle = np.array([len(rows[0]) / 2, 1 - len(rows) / 2])
-    rings = [polygon.exterior, *polygon.interiors]
-    return tuple((shapely.get_coordinates(ring)[:-1] - middle) * (2 / len(rows)) for ring in rings)
-
-
-def spiral_loop(turns: float, fill: float, points: int = 96) -> np.ndarray:
-    """(2 points, 2) the outline of an Archimedean spiral strip of outer radius 1.
-
-    fill  the part of the pitch that the strip's width takes
-    """
-    angle = np.linspace(0, 2 * np.pi * turns, points)
-    pitch = 1 / (turns + 0.5)
-    radius = pitch * (0.5 + angle / (2 * np.pi))
-    ray = np.stack([np.cos(angle), np.sin(angle)], 1)
-    half = 0.5 * fill * pitch
-    return np.concatenate([(radius + half)[:, None] * ray, ((radius - half)[:, None] * ray)[::-1]])
-
-
-def naca(camber: float, place: float, thickness: float, points: int = 60) -> np.ndarray:
-    """(2 points - 2, 2) a NACA four-digit airfoil, counter-clockwise from its sharp trailing edge, chord [-0.5, 0.5].
-
-    camber, place of the camber and thickness as parts of the chord (Jacobs, Ward & Pinkerton, NACA
-    Report 460, 1933; the last coefficient -0.1036 closes the trailing edge).
-    """
-    x = 0.5 * (1 - np.cos(np.linspace(0, np.pi, points)))
-    y = 5 * thickness * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
-    front = x < place
-    line = np.where(front, camber / place**2 * (2 * place * x - x**2),
-                    camber / (1 - place) ** 2 * (1 - 2 * place + 2 * place * x - x**2))  # fmt: skip
-    slope = np.arctan(np.where(front, camber / place**2, camber / (1 - place) ** 2) * 2 * (place - x))
-    upper = np.stack([x - y * np.sin(slope), line + y * np.cos(slope)], 1)
-    lower = np.stack([x + y * np.sin(slope), line - y * np.cos(slope)], 1)
-    return np.concatenate([upper[::-1], lower[1:-1]]) - [0.5, 0.0]
-
-
 def _with_bodies(
     rng: np.random.Generator, width: float, radii: list[float], shapes: list[Callable], turn: float
 ) -> Scene:
-    """A rectangle, `width` by 1, with a hole of each shape and radius; motions take the holes to other free places."""
+    """A rectangle, `width` by 1, with a hole of each shape and radius; motions take holes to other free positions."""
     walls = np.array([[0.0, 0], [width, 0], [width, 1], [0, 1]])
-    start, radii = _places(rng, width, radii)
+    start, radii = _free_centres(rng, width, radii)
     bodies = [
         (centre + radius * _turned(shape(rng), rng.uniform(0, 2 * np.pi)))[::-1]
         for centre, radius, shape in zip(start, radii, shapes, strict=False)
@@ -218,9 +164,9 @@ def _with_bodies(
     outline = Outline((walls, *bodies), (1.0, *(rng.uniform(0.5, 1.0, len(bodies)))))
 
     def motion(rng: np.random.Generator) -> Motion:
-        # Fewer may fit than before: the others stay.
+        # Fewer holes may fit than before: the others stay.
         goal = start.copy()
-        found, _ = _places(rng, width, list(radii))
+        found, _ = _free_centres(rng, width, list(radii))
         goal[: len(found)] = found
         angle = np.append(0.0, rng.uniform(-turn, turn, len(radii)))
         pivot, shift = np.concatenate([[[0, 0]], start]), np.concatenate([[[0, 0]], goal - start])
@@ -233,15 +179,14 @@ def _with_bodies(
     return Scene(outline, motion)
 
 
-def _places(rng: np.random.Generator, width: float, radii: list[float]) -> tuple[np.ndarray, list[float]]:
+def _free_centres(rng: np.random.Generator, width: float, radii: list[float]) -> tuple[np.ndarray, list[float]]:
     """Centres of discs in the rectangle, clear of it and of each other; discs that find no room are left out."""
-    gap, tries = 0.06, 100
     centres: list[np.ndarray] = []
     kept: list[float] = []
     for radius in radii:
-        margin = radius + gap
-        for centre in rng.uniform([margin, margin], [width - margin, 1 - margin], (tries, 2)):
-            if all(np.hypot(*(centre - c)) > radius + r + gap for c, r in zip(centres, kept, strict=True)):
+        margin = radius + _GAP
+        for centre in rng.uniform([margin, margin], [width - margin, 1 - margin], (_CENTRE_TRIES, 2)):
+            if all(np.hypot(*(centre - c)) > radius + r + _GAP for c, r in zip(centres, kept, strict=True)):
                 centres.append(centre)
                 kept.append(radius)
                 break
@@ -251,32 +196,8 @@ def _places(rng: np.random.Generator, width: float, radii: list[float]) -> tuple
     return np.array(centres), kept
 
 
-def _laid_along(goal: np.ndarray, count: int) -> np.ndarray:
-    """(count, 2) places at equal steps along the closed polyline, its corners taken by the nearest of them."""
-    edge = np.roll(goal, -1, 0) - goal
-    ends = np.concatenate([[0.0], np.hypot(*edge.T).cumsum()])
-    s = np.arange(count) / count * ends[-1]
-    places = np.stack([np.interp(s, ends, np.append(c, c[0])) for c in goal.T], 1)
-    before = np.roll(edge, 1, 0)
-    turn = np.abs(np.arctan2(before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0], (before * edge).sum(1)))
-    corners = np.flatnonzero(turn > np.pi / 6)
-    places[np.round(ends[corners] / ends[-1] * count).astype(int) % count] = goal[corners]
-    return places
-
-
-def _notched(width: float, place: float, thick: float, depth: float) -> np.ndarray:
-    """(6, 2) a floor from left to right with a notch."""
-    left, right = place - thick / 2, place + thick / 2
-    return np.array([[0.0, 0], [left, 0], [left, depth], [right, depth], [right, 0], [width, 0]])
-
-
-def _ring(count: int) -> np.ndarray:
-    angle = 2 * np.pi * np.arange(count) / count
-    return np.stack([np.cos(angle), np.sin(angle)], 1)
-
-
 def _round(rng: np.random.Generator) -> np.ndarray:
-    return _ring(48)
+    return regular_polygon(48)
 
 
 def _thin(rng: np.random.Generator) -> np.ndarray:
@@ -285,16 +206,16 @@ def _thin(rng: np.random.Generator) -> np.ndarray:
 
 
 def _oblong(rng: np.random.Generator) -> np.ndarray:
-    return _ring(64) * [1.0, rng.uniform(0.3, 0.8)]
+    return regular_polygon(64) * [1.0, rng.uniform(0.3, 0.8)]
 
 
 def _angular(rng: np.random.Generator) -> np.ndarray:
-    return _ring(int(rng.integers(3, 8)))
+    return regular_polygon(int(rng.integers(3, 8)))
 
 
 def _wavy(rng: np.random.Generator) -> np.ndarray:
     waves, depth = int(rng.integers(3, 7)), rng.uniform(0.05, 0.25)
-    ring = _ring(120)
+    ring = regular_polygon(120)
     return ring * ((1 + depth * np.cos(waves * np.arctan2(ring[:, 1], ring[:, 0]))) / (1 + depth))[:, None]
 
 

@@ -2,11 +2,10 @@
 
     loss = tm.losses.untangle_beta(network(mesh), mesh).mean()
 
-Each takes points (V, 2), float32 or float64, and the batch whose triangles they belong to.  The
-batch's own points, as an undeformed mesh or the input of a network, give the scale where a loss
-needs one; they are constants.  Losses are per mesh (B,) by default, the mean over its triangles, or
-per triangle (T,), in both cases without unit.  The formulae are those of `energies`.  All can be
-differentiated twice.
+Each loss takes points (V, 2), float32 or float64, and the batch whose triangles they belong to.  Where a loss needs a
+scale, the batch's own points give it, as those of an undeformed mesh or of a network's input; they are constants.
+Losses are per mesh (B,) by default, the mean over its triangles, or per triangle (T,); both have no unit.  The formulae
+are those of `optimising.energies`.  All losses can be differentiated twice.
 
     inverse_mean_ratio  shape; 1 for equilateral triangles
     untangle_beta       zero when no triangle is inverted or nearly so
@@ -28,11 +27,17 @@ from ..optimising.energies import InverseMeanRatio, Regularised, UntangleBeta, w
 from ..optimising.jacobian import Target, equilateral, invariants, target_of
 from ..untangling.local_size import local_size
 
+__all__ = ["inverse_mean_ratio", "minimum_jacobian", "regularised", "untangle_beta"]
+
 Per = Literal["mesh", "triangle"]
 
-
-# The stretch added to every triangle: that of one a millionth as large as the mean.
+# Added to the stretch of every triangle, so that no ratio is 0/0: the stretch of a triangle a millionth as large as
+# the mean.
 _NO_SIZE = 1e-12
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def inverse_mean_ratio(
@@ -40,11 +45,11 @@ def inverse_mean_ratio(
 ) -> Tensor:
     """q^power, q the inverse mean ratio (Kim 2017, equations 3 and 4): 1 for an equilateral triangle.
 
-    limit  above this q, and for inverted triangles, q goes on along its tangent as a function of the
-           signed mean ratio 1/q = 2 det / stretch: to 2 limit for a flat triangle, and on to
-           2 limit + limit^2 for the mirror image of an equilateral one
+    limit  above this q, and for inverted triangles, q is replaced by its tangent as a function of the signed mean
+           ratio 1/q = 2 det / stretch.  The tangent reaches 2 limit for a flat triangle, and 2 limit + limit^2 for
+           the mirror image of an equilateral one
 
-    A triangle of no size counts as flat and has no gradient.  ValueError for power < 1 or limit <= 1.
+    A triangle of no size counts as flat and has no gradient.  Raises ValueError for power < 1 or limit <= 1.
     """
     if power < 1:
         raise ValueError(f"power must be at least 1, not {power}")
@@ -52,11 +57,11 @@ def inverse_mean_ratio(
         raise ValueError(f"limit must be above 1, the ideal, not {limit}")
     stretch, det = _invariants(points, mesh, equilateral(_mean_side(points, mesh)))
     lowest = 1 / limit
-    # The stretch is 2 for an equilateral triangle of mean area: this only matters to those of (nearly) no size.
+    # The stretch is 2 for an equilateral triangle of mean area: only triangles of (nearly) no size are changed by this.
     stretch = stretch + _NO_SIZE
     ratio = 2 * det / stretch
     good = ratio >= lowest
-    # stretch and det of the triangle itself, or of an equilateral one, whose slopes then are not used.
+    # A triangle on the tangent is replaced by an equilateral one here, whose value and slopes are not used.
     exact = InverseMeanRatio(power).value(torch.where(good, stretch, 2.0), torch.where(good, det, 1.0))
     tangent = whole_power((2 * lowest - ratio) / lowest**2, power)
     return _reduced(torch.where(good, exact, tangent), mesh, per)
@@ -141,9 +146,9 @@ def _mean_side(points: Tensor, mesh: MeshBatch) -> Tensor:
 @torch.no_grad()
 def _reference(points: Tensor, mesh: MeshBatch) -> Target:
     """Each triangle of `mesh` as the target of itself."""
-    fallen = ~upright(mesh)
-    if bool(fallen.any()):
-        row = int(fallen.nonzero()[0, 0])
+    inverted = ~upright(mesh)
+    if bool(inverted.any()):
+        row = int(inverted.nonzero()[0, 0])
         raise InvalidMeshError(
             f"mesh {int(triangle_mesh(mesh)[row])}: triangles row {row} is inverted, so it is no reference; "
             "give the undeformed mesh, or reference=False"
