@@ -233,7 +233,9 @@ def test_wrong_points_are_refused(points, message):
         nn.Smooth(grid())(points)
 
 
-@pytest.mark.parametrize("name", ["newton_steps", "tolerance", "cg_tolerance", "cg_iterations", "near", "first_cg_tolerance", "halvings"])
+@pytest.mark.parametrize(
+    "name", ["newton_steps", "tolerance", "cg_tolerance", "cg_iterations", "near", "first_cg_tolerance", "halvings"]
+)
 def test_wrong_options_are_refused_by_name(name):
     with pytest.raises(ValueError, match=name):
         nn.LayerOptions(**{name: 0})

@@ -27,6 +27,12 @@ from .batch import MeshBatch
 from .ragged import counts_from_offsets, segment_ids, segment_max, segment_min, segment_sum
 from .triangle import Corners, corners
 
+__all__ = ["METRICS", "Metric", "Summary", "evaluate", "measure", "percentiles"]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
 
 @dataclass(frozen=True)
 class Metric:
