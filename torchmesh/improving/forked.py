@@ -6,18 +6,24 @@ results only.  Meshes do not touch each other, so the result is the same to the 
 """
 
 import contextlib
+import itertools
 import multiprocessing
 import pickle
 import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from ..errors import MeshWarning
+from ..mesh.measure import Quality
+from .report import Progress, Step
+from .runner import Job, Log
+from .state import State
 
 # Triangles in a shard at least, below which a process costs more than it saves, and about, at most:
 # what a stage reads and writes of more does not stay in the cache.
@@ -53,6 +59,85 @@ def shard_borders(triangle_offsets: Tensor, workers: int) -> list[int]:
     goals = torch.arange(1, runs, device=triangle_offsets.device) * total // runs
     inner = torch.searchsorted(triangle_offsets, goals).unique().tolist()
     return [0, *(cut for cut in inner if 0 < cut < meshes), meshes]
+
+
+def in_processes(job: Job, workers: int) -> Job:
+    """`job` over forked processes, each with a run of the meshes; in this one where that would not pay.
+
+    job  keeps the number and order of vertices and triangles
+    """
+
+    def shared(state: State, log: Log) -> State:
+        borders = shard_borders(state.mesh.triangle_offsets, workers)
+        shards = len(borders) - 1
+        if shards < 2:
+            return job(state, log)
+        # What one mesh of many needs is imported here once, and not by every process of every call.
+        import shapely  # noqa: F401
+
+        from ..remeshing import condensation  # noqa: F401
+        from ..untangling import retriangulation  # noqa: F401
+
+        def task(i: int) -> Shard:
+            at = (state.meshes >= borders[i]) & (state.meshes < borders[i + 1])
+            own = Log(int(at.sum()))
+            return Shard.of(job(state.select(at), own), own)
+
+        done = []
+        for i, shard in enumerate(over_processes(task, shards, workers)):
+            done.append(shard)
+            if log.progress is not None:
+                left = int((shard.quality.inverted > 0).sum())
+                log.progress(Progress(f"shard {i + 1} of {shards}", len(state) - borders[i + 1], left))
+        for steps, more in zip(log.steps, (rows for shard in done for rows in shard.steps), strict=True):
+            steps += more
+        return Shard.joined(state, done)
+
+    return shared
+
+
+@dataclass(frozen=True, eq=False)
+class Shard:
+    """What a process sends back of its meshes: what may have changed, and their rows of the log."""
+
+    points: Tensor
+    triangles: Tensor
+    quality: Quality
+    status: Tensor
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    certified: Tensor
+    sizes: Tensor | None
+    steps: list[list[Step]]
+
+    @classmethod
+    def of(cls, state: State, log: Log) -> "Shard":
+        """What is sent of a finished state."""
+        return cls(
+            state.mesh.points, state.mesh.triangles, state.quality, state.status, state.reasons, state.notes,
+            state.certified, state.sizes, log.steps,
+        )  # fmt: skip
+
+    @staticmethod
+    def joined(state: State, shards: "list[Shard]") -> State:
+        """`state`, of which the shards were taken in order, with what has become of them."""
+        starts = itertools.accumulate((len(s.points) for s in shards), initial=0)
+        triangles = torch.cat([s.triangles + start for s, start in zip(shards, starts, strict=False)])
+        columns = [f.name for f in fields(Quality)]
+        sizes = None
+        if any(s.sizes is not None for s in shards):
+            none = [s.points.new_full((len(s.points),), torch.nan, dtype=torch.float64) for s in shards]
+            sizes = torch.cat([n if s.sizes is None else s.sizes for s, n in zip(shards, none, strict=True)])
+        return replace(
+            state,
+            mesh=replace(state.mesh, points=torch.cat([s.points for s in shards]), triangles=triangles),
+            quality=Quality(*(torch.cat([getattr(s.quality, name) for s in shards]) for name in columns)),
+            status=torch.cat([s.status for s in shards]),
+            reasons=tuple(text for s in shards for text in s.reasons),
+            notes=tuple(text for s in shards for text in s.notes),
+            certified=torch.cat([s.certified for s in shards]),
+            sizes=sizes,
+        )
 
 
 def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Iterator[_R]:

@@ -1,19 +1,17 @@
-"""A small tangle in a large good mesh: work on its neighbourhood alone, and put that back.
+"""A small tangle in a large good mesh: work on the submesh round it alone, and put that back.
 
     . . . . . . . . . . .     #  damage: inverted, or of poor shape
-    . . r r r r r r . . .     +  rings round it, whose free vertices may move
-    . . r + + + + r . . .     r  rim: fixed in the excerpt
-    . . r + # # + r . . .     .  never touched, nor looked at after the first look at its quality
-    . . r + + + + r . . .
-    . . r r r r r r . . .
+    . . b b b b b b . . .     +  rings round it, whose free vertices may move
+    . . b + + + + b . . .     b  boundary of the submesh: fixed
+    . . b + # # + b . . .     .  never touched, nor looked at after the first look at its quality
+    . . b + + + + b . . .
+    . . b b b b b b . . .
 
-What an excerpt costs beyond its own triangles is one look at the quality of the mesh and a few masks
-over its rows.  Each mesh is judged by itself.  One whose excerpt does not come out valid and of good shape
-goes the usual road as a whole.
+Beyond its own triangles, a submesh costs a few masks over the rows of the mesh.  Each mesh is judged by itself.  One
+whose submesh does not come out valid and of good shape is worked on as a whole.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,52 +19,55 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, put
-from ..mesh.measure import Quality, quality
+from ..mesh.measure import Quality
 from ..mesh.ragged import counts_from_offsets, segment_count, segment_max, segment_sum, spread
 from ..mesh.triangle import corners, squared_edge_lengths
 from ..remeshing.criteria import crowded
 from ..remeshing.options import RemeshOptions
-from .report import Report
+from .options import ImproveOptions, LocalRepair
+from .report import Step
+from .runner import Job, Log
+from .state import State
 
-# A mesh with no more triangles than this is worked on as a whole: an excerpt would not save much.
-_LARGE = 20_000
-
-
-# A triangle with a higher inverse mean ratio is damage, and the mean of those outside the excerpt is at
-# most this: what flips and smoothing of the whole mesh could better is left to them.
-_POOR, _EXCELLENT = 1.5, 1.03
-
-
-# The excerpt is at most this part of the mesh.
-_SHARE = 0.1
-
-
-# Rings of vertices round the damage, and more of them the wider it is: a tangle of n triangles is about
-# 0.7 sqrt(n) edges across, and needs that room again to come to good shapes.
-_RINGS, _RINGS_BY_WIDTH = 8, 0.7
-
-
-# Cells along the mesh at most to look for what is near the damage.
+# The search for what is near the damage divides a mesh into at most so many cells along each axis.
 _CELLS = 1000
 
 
-Observe = Callable[[str, MeshBatch], None]
+def on_submeshes(job: Job, options: ImproveOptions) -> Job:
+    """`job`, but on submeshes only where large good meshes have small tangles; otherwise `job` itself.
 
+    job  keeps the number and order of vertices and triangles
+    """
 
-Work = Callable[[MeshBatch, Observe | None], tuple[MeshBatch, Report]]
+    def on_parts(state: State, log: Log) -> State:
+        found = damaged_submeshes(state.mesh, state.quality, options.local_repair)
+        if found is None:
+            return job(state, log)
+        log.mark("submesh", state, found.cut, seconds=found.seconds)
+        part = job(State.of(found.part, options), log.view(state.meshes, found.paste, found.step_of_whole))
+        again = ~found.well_done(part)
+        whole = found.paste_state(state, part)
+        if not bool(again.any()):
+            return whole
+        begun = state.select(again)
+        log.mark("whole", state, again, kept=False)
+        view = log.view(again.nonzero().squeeze(1), lambda mesh: put(whole.mesh, again, mesh))
+        note = {b: "; a submesh round the damage was tried in vain" for b in range(len(begun))}
+        return whole.put(again, job(begun, view).noted(note))
+
+    return on_parts
 
 
 @dataclass(frozen=True, eq=False)
-class Excerpts:
-    """A batch of B meshes some of which are replaced by excerpts, V' vertices and T' triangles in all.
+class Submeshes:
+    """A batch of B meshes some of which are replaced by submeshes, V' vertices and T' triangles in all.
 
-    part          the batch to be worked on: excerpts, and the other meshes as they are
+    part          the batch to be worked on: submeshes, and the other meshes as they are
     cut           (B,) bool, the meshes replaced
     vertices      (V',) int64, ascending: the rows of the part's points in the whole batch
     triangles     (T',) int64, ascending: the rows of the part's triangles in the whole batch
-    across        (N,) int64 keys of the edges between vertices of an excerpt that triangles outside have
+    across        (N,) int64 keys of the edges between vertices of a submesh that triangles outside have
     whole         the whole batch
-    quality       of the whole batch
     outside_sum   (B,) of the inverse mean ratio over the triangles outside; 0 for meshes not cut
     outside_max   (B,) likewise the maximum; 1 for meshes not cut
     seconds       what it took to find them
@@ -78,7 +79,6 @@ class Excerpts:
     triangles: Tensor
     across: Tensor
     whole: MeshBatch
-    quality: Quality
     outside_sum: Tensor
     outside_max: Tensor
     seconds: float
@@ -89,125 +89,89 @@ class Excerpts:
         triangles = self.whole.triangles.index_copy(0, self.triangles, self.vertices[part.triangles])
         return replace(self.whole, points=points, triangles=triangles)
 
-    def well_done(self, part: MeshBatch, report: Report) -> Tensor:
-        """(B,) bool: the mesh was not cut, or its excerpt is valid, certified, of good shape, and fits in.
+    def paste_state(self, state: State, part: State) -> State:
+        """`state`, of which the submeshes were taken, with what `part` has become of them."""
+        offsets = self.whole.triangle_offsets
+        columns = ("area", "inverse_mean_ratio", "upright")
+        area, ratio, upright = (
+            getattr(state.quality, name).index_copy(0, self.triangles, getattr(part.quality, name)) for name in columns
+        )
+        mean = segment_sum(ratio, offsets) / counts_from_offsets(offsets)
+        taken, counts = (counts_from_offsets(mesh.triangle_offsets).tolist() for mesh in (self.part, self.whole))
+        notes = {
+            b: f"; only a submesh, {taken[b]:,} of {counts[b]:,} triangles round the damage, was worked on"
+            for b in self.cut.nonzero().squeeze(1).tolist()
+        }
+        return replace(
+            state,
+            mesh=self.paste(part.mesh),
+            quality=Quality(area, ratio, upright, mean, segment_max(ratio, offsets), part.quality.inverted),
+            status=part.status,
+            reasons=part.reasons,
+            notes=part.notes,
+            certified=part.certified,
+        ).noted(notes)
+
+    def step_of_whole(self, b: int, step: Step) -> Step:
+        """A row about the submesh of mesh `b`, said about the whole mesh."""
+        if not bool(self.cut[b]):
+            return step
+        taken, count = (int(counts_from_offsets(m.triangle_offsets)[b]) for m in (self.part, self.whole))
+        mean = (float(self.outside_sum[b]) + taken * step.mean) / count
+        return replace(step, mean=mean, max=max(float(self.outside_max[b]), step.max))
+
+    def well_done(self, part: State) -> Tensor:
+        """(B,) bool: the mesh was not cut, or its submesh is valid, certified, of good shape, and fits in.
 
         An edge that a triangle outside has, too, cannot be one inside, or the whole would be no manifold.
         Where boundaries are simple that is so by geometry; where a mesh lies over itself it need not be.
         """
-        rows = spread(self.cut, part.triangle_offsets)
-        mine = part.triangles[rows]
+        rows = spread(self.cut, part.mesh.triangle_offsets)
+        mine = part.mesh.triangles[rows]
         twin = connectivity.twins(mine)
         inner = self.vertices[connectivity.edges(mine, twin)[_inner_edges(twin)]]
         clash = inner[torch.isin(_keys(inner, len(self.whole.points)), self.across), 0]
-        good = report.valid & report.certified & ~crowded(report.quality, RemeshOptions())
+        good = part.valid & part.certified & ~crowded(part.quality, RemeshOptions())
         good[torch.bucketize(clash, self.whole.point_offsets[1:], right=True)] = False
         return good | ~self.cut
 
-    def report(self, report: Report) -> Report:
-        """What `report` says about the part, said about the whole batch; spends `self.quality`."""
-        known, offsets = self.quality, self.whole.triangle_offsets
-        for column in ("area", "inverse_mean_ratio", "upright"):
-            getattr(known, column).index_copy_(0, self.triangles, getattr(report.quality, column))
-        counts = counts_from_offsets(offsets)
-        ratio = known.inverse_mean_ratio
-        q = Quality(
-            known.area,
-            ratio,
-            known.upright,
-            segment_sum(ratio, offsets) / counts,
-            segment_max(ratio, offsets),
-            report.quality.inverted,
-        )
-        steps, messages = list(report.steps), list(report.messages)
-        inside = counts_from_offsets(self.part.triangle_offsets)
-        numbers = (counts, inside, self.outside_sum, self.outside_max, known.mean, known.max)
-        for b in self.cut.nonzero().squeeze(1).tolist():
-            count, taken, total, worst, mean, most = (column[b].item() for column in numbers)
-            first, *rest = report.steps[b]
-            first = replace(first, mean=mean, max=most)
-            steps[b] = [first, replace(first, stage="excerpt", seconds=self.seconds)] + [
-                replace(step, mean=(total + taken * step.mean) / count, max=max(worst, step.max)) for step in rest
-            ]
-            messages[b] += f"; only an excerpt, {taken:,} of {count:,} triangles round the damage, was worked on"
-        return replace(report, quality=q, steps=steps, messages=messages)
 
+def damaged_submeshes(batch: MeshBatch, q: Quality, options: LocalRepair) -> Submeshes | None:
+    """Submeshes of the large meshes that are tangled in a small part and excellent elsewhere; None: there are none.
 
-def improve_by_excerpts(batch: MeshBatch, work: Work, observe: Observe | None = None) -> tuple[MeshBatch, Report]:
-    """`work` on a batch, of large good meshes with small tangles only on excerpts.
-
-    work     improves a batch, calling what is its second argument after every stage; moves no fixed vertex,
-             flips no boundary or constrained edge, and keeps the order of vertices
-    observe  called with every stage and the whole batch: "initial", "excerpt", those of the work,
-             and "whole" where excerpts did not do
-
-    The report is about the whole meshes.
+    q  the quality of the batch
     """
-    found = excerpts(batch)
-    if found is None:
-        return work(batch, observe)
-
-    def watch(stage: str, part: MeshBatch) -> None:
-        assert observe is not None
-        whole = found.paste(part)
-        observe(stage, whole)
-        if stage == "initial":
-            observe("excerpt", whole)
-
-    part, report = work(found.part, None if observe is None else watch)
-    again = ~found.well_done(part, report)
-    result, report = found.paste(part), found.report(report)
-    if not bool(again.any()):
-        return result, report
-
-    def watch_again(stage: str, part: MeshBatch) -> None:
-        assert observe is not None
-        observe("whole" if stage == "initial" else stage, put(result, again, part))
-
-    part, second = work(batch.select(again), None if observe is None else watch_again)
-    merged = put(result, again, part)
-    return merged, replace(_amended(report, again, second), quality=quality(merged, known=(result, report.quality)))
-
-
-def _amended(first: Report, again: Tensor, second: Report) -> Report:
-    """The `first` report but for its quality, with the meshes `again` (B,) bool as the `second` found them."""
-    steps, messages = list(first.steps), list(first.messages)
-    for i, b in enumerate(again.nonzero().squeeze(1).tolist()):
-        start, *rest = second.steps[i]
-        steps[b] = [*steps[b], replace(start, stage="whole", kept=False), *rest]
-        messages[b] = f"{second.messages[i]}; an excerpt round the damage was tried in vain"
-    columns = {name: getattr(first, name).clone() for name in ("status", "valid", "certified", "moved")}
-    for name, column in columns.items():
-        column[again] = getattr(second, name)
-    return replace(first, steps=steps, messages=messages, **columns)
-
-
-def excerpts(batch: MeshBatch) -> Excerpts | None:
-    """Excerpts of the large meshes that are tangled in a small part and excellent elsewhere; None: there are none."""
     started = time.perf_counter()
-    if not bool((counts_from_offsets(batch.triangle_offsets) > _LARGE).any()):
-        return None
-    q = quality(batch)
-    vertex, face = batch.point_offsets.tolist(), batch.triangle_offsets.tolist()
-    candidates = (counts_from_offsets(batch.triangle_offsets) > _LARGE) & (q.inverted > 0)
+    large = counts_from_offsets(batch.triangle_offsets) > options.large
     places = {}
-    for b in candidates.nonzero().squeeze(1).tolist():
-        t = slice(face[b], face[b + 1])
-        bad = (~q.upright[t] | (q.inverse_mean_ratio[t] > _POOR)).nonzero().squeeze(1)
-        if len(bad) > _SHARE * (t.stop - t.start):
-            continue
-        faces = batch.triangles[t] - vertex[b] if vertex[b] else batch.triangles[t]
-        place = neighbourhood(batch.points[vertex[b] : vertex[b + 1]], faces, bad)
-        inside = len(place.triangles)
-        if inside > _SHARE * (t.stop - t.start):
-            continue
-        ratio = q.inverse_mean_ratio[t].index_fill(0, place.triangles, 0.0)
-        total = float(segment_sum(ratio, torch.tensor([0, len(ratio)], device=ratio.device)))
-        if total <= _EXCELLENT * (len(ratio) - inside):
-            places[b] = (place, total, float(ratio.max()))
-    if not places:
+    for b in (large & (q.inverted > 0)).nonzero().squeeze(1).tolist():
+        place = _round_damage(batch, q, b, options)
+        if place is not None:
+            places[b] = place
+    return _taken(batch, places, started) if places else None
+
+
+def _round_damage(
+    batch: MeshBatch, q: Quality, b: int, options: LocalRepair
+) -> "tuple[Neighbourhood, float, float] | None":
+    """The neighbourhood of the damage of mesh `b`, with the sum and the maximum of the ratios outside it.
+
+    None if it is too large a part of the mesh, or the rest is not excellent.
+    """
+    v, t = (slice(*offsets[b : b + 2].tolist()) for offsets in (batch.point_offsets, batch.triangle_offsets))
+    count = t.stop - t.start
+    bad = (~q.upright[t] | (q.inverse_mean_ratio[t] > options.poor)).nonzero().squeeze(1)
+    if len(bad) > options.share * count:
         return None
-    return _taken(batch, q, places, started)
+    faces = batch.triangles[t] - v.start if v.start else batch.triangles[t]
+    rings = options.rings + round(options.rings_by_width * len(bad) ** 0.5)
+    place = neighbourhood(batch.points[v], faces, bad, rings)
+    inside = len(place.triangles)
+    if inside > options.share * count:
+        return None
+    ratio = q.inverse_mean_ratio[t].index_fill(0, place.triangles, 0.0)
+    total = float(segment_sum(ratio, torch.tensor([0, count], device=ratio.device)))
+    return (place, total, float(ratio.max())) if total <= options.excellent * (count - inside) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,12 +190,11 @@ class Neighbourhood:
     across: Tensor
 
 
-def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor) -> Neighbourhood:
-    """The `damage` (D,) int64, rows of `triangles` (T, 3), and the rings of vertices round it that it needs.
+def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor, rings: int) -> Neighbourhood:
+    """The `damage` (D,) int64, rows of `triangles` (T, 3), and so many rings of vertices round it.
 
     points  (V, 2), by which what cannot be near is left out of the search; the result does not depend on them
     """
-    rings = _RINGS + round(_RINGS_BY_WIDTH * len(damage) ** 0.5)
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     low, high = zip(*([float(v) for v in c.aminmax()] for c in (x, y)), strict=True)
     extent = max(high[0] - low[0], high[1] - low[1])
@@ -298,8 +261,8 @@ def _nearby(x: Tensor, y: Tensor, extent: float, damaged: Tensor, reach: float) 
 
 
 def _taken(
-    batch: MeshBatch, q: Quality, places: dict[int, tuple[Neighbourhood, float, float]], started: float
-) -> Excerpts:
+    batch: MeshBatch, places: dict[int, tuple[Neighbourhood, float, float]], started: float
+) -> Submeshes:
     """The batch with the meshes of `places` replaced by their neighbourhoods."""
     device, vertex, face = batch.points.device, batch.point_offsets.tolist(), batch.triangle_offsets.tolist()
     cut = torch.zeros(len(batch), dtype=torch.bool, device=device)
@@ -332,11 +295,11 @@ def _taken(
     part = _without_rim_constraints(part, cut)
     seconds = time.perf_counter() - started
     keys = _keys(torch.cat(across), len(batch.points))
-    return Excerpts(part, cut, vertices, triangles, keys, batch, q, outside_sum, outside_max, seconds)
+    return Submeshes(part, cut, vertices, triangles, keys, batch, outside_sum, outside_max, seconds)
 
 
 def _without_rim_constraints(part: MeshBatch, cut: Tensor) -> MeshBatch:
-    """`part` less the constrained edges that are not inside the excerpts, but on their rims or beyond."""
+    """`part` less the constrained edges that are not inside the submeshes, but on their boundaries or beyond."""
     if not len(part.constrained_edges):
         return part
     mine = part.triangles[spread(cut, part.triangle_offsets)]

@@ -14,6 +14,69 @@ from ..untangling.options import UntangleOptions
 
 
 @dataclass(frozen=True)
+class Rounds:
+    """How steps 1 and 2 of Kim 2017 alternate, and when they have come to a standstill.
+
+    flip_rounds          rounds of flips between two goes of untangling: the first flips do most, and the later ones
+                         have only tangles to guide them
+    progress, patience   a mesh goes on while the number of its inverted triangles falls to this part at least once in
+                         so many rounds
+    patience_with_flips  the paper's own loop goes on for so many rounds in which that number does not fall
+    quiet                the paper's own loop stops after so many rounds in a row without a flip in which L-BFGS stopped
+                         at its least number of steps
+    """
+
+    flip_rounds: int = 2
+    progress: float = 0.75
+    patience: int = 2
+    patience_with_flips: int = 10
+    quiet: int = 4
+
+
+@dataclass(frozen=True)
+class Refining:
+    """How flips and smoothing alternate on a valid mesh; ratios are inverse mean ratios.
+
+    first_flip_rounds      rounds of flips before the first smoothing
+    rest                   a vertex that moves less than this part of its edges in a round rests in the next one
+    little_gain            a round that lowers the mean by less is the last of a mesh without poor triangles
+    least_gain             and of any mesh, if the maximum falls by less than `least_gain_of_maximum` of itself, too
+    sliver                 a triangle with a higher ratio is so flat that flips and q^2 would not see the others for it
+    coarse                 meshes with a higher maximum are smoothed in double precision, whatever was asked
+    """
+
+    first_flip_rounds: int = 4
+    rest: float = 0.02
+    little_gain: float = 3e-3
+    least_gain: float = 1e-4
+    least_gain_of_maximum: float = 1e-3
+    sliver: float = 1e4
+    coarse: float = 100.0
+
+
+@dataclass(frozen=True)
+class LocalRepair:
+    """Which meshes are worked on round their damage only; ratios are inverse mean ratios.
+
+    large           meshes with no more triangles are worked on as a whole: a submesh would not save much
+    poor            triangles with a higher ratio are damage, as inverted ones are
+    excellent       the mean ratio outside the submesh is at most this: what flips and smoothing of the whole mesh could
+                    better is left to them
+    share           the submesh is at most this part of the mesh
+    rings           rings of vertices round the damage that are taken along
+    rings_by_width  and so many more times the root of the number of damaged triangles: a tangle of n triangles is about
+                    0.7 sqrt(n) edges across, and needs that room again to come to good shapes
+    """
+
+    large: int = 20_000
+    poor: float = 1.5
+    excellent: float = 1.03
+    share: float = 0.1
+    rings: int = 8
+    rings_by_width: float = 0.7
+
+
+@dataclass(frozen=True)
 class ImproveOptions:
     """How `improve` works.
 
@@ -30,6 +93,7 @@ class ImproveOptions:
     relocate          whether vertices travel where shapes stay poor; where sizes are asked for, they do anyway
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
+    rounds, refine    when these rounds end, and what they leave alone
     reference         the same meshes undeformed, with the same triangles, if the caller has them: tangled
                       interiors are first put where FEMWARP carries those of the reference, and the last
                       untangling has each triangle's undeformed shape and size as its target.  It is of
@@ -39,6 +103,7 @@ class ImproveOptions:
     excerpts          a mesh of more than 20,000 triangles that is tangled in a small part and excellent elsewhere is
                       worked on round the tangle only, if that does; the rest keeps its bits.  Not with sizes,
                       targets, reference, sliding or topology "full".  False: it is worked on as a whole
+    local_repair      what is small, large and excellent in that sense
     workers           processes that share a large batch, on Linux, under topology "keep" or "flip"; None: as
                       many as torch has threads (`torch.set_num_threads`, OMP_NUM_THREADS); 1: this one only
     """
@@ -53,12 +118,15 @@ class ImproveOptions:
     )
     untangle_rounds: int = 3
     smooth_rounds: int = 15
+    rounds: Rounds = field(default_factory=Rounds)
+    refine: Refining = field(default_factory=Refining)
     boundary: Literal["fixed", "slide"] = "fixed"
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
     polish: PolishOptions | None = field(default_factory=PolishOptions)
     relocate: bool = True
     reference: MeshBatch | None = None
     excerpts: bool = True
+    local_repair: LocalRepair = field(default_factory=LocalRepair)
     workers: int | None = None
 
     def __post_init__(self) -> None:
@@ -87,6 +155,21 @@ class ImproveOptions:
     def slides(self) -> bool:
         """Do boundary and interface vertices slide along their curves?"""
         return "slide" in (self.boundary, self.smooth.boundary)
+
+    @property
+    def may_flip(self) -> bool:
+        """May edges change?"""
+        return self.topology != "keep"
+
+    @property
+    def travels(self) -> bool:
+        """May vertices travel from crowded to empty regions, where shapes ask for it?"""
+        return self.may_flip and self.smooth.targets is None
+
+    @property
+    def polishes(self) -> bool:
+        """Are the worst triangles worked on one by one, before vertices come and go?"""
+        return self.travels and self.topology != "full"
 
     @property
     def separable(self) -> bool:

@@ -1,26 +1,25 @@
-"""The whole job: untangle by every means that the options allow, then make the shapes good.
-
-      tangled meshes                                     valid meshes
-   +-- relax: neighbours' means, triangles kept      +-> flips that lower the smoother's energy <-+
-   |-- flip and untangle-beta, in turn               |   smooth (inverse mean ratio) -------------+
-   |-- re-triangulate pockets                        |        | no flip is left, or quality settles
-   +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> polish the worst -> certify
-
-Every mesh goes down its own road; the meshes on one stretch of road travel as one batch.
-"""
+"""`improve`: the strategy on a batch, its large meshes in parts, its many meshes over processes, and the report."""
 
 from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from ..mesh.batch import MeshBatch, join
+from ..mesh.batch import MeshBatch
+from ..mesh.ragged import segment_count, spread
+from ..optimising.metric_field import MetricField
+from ..remeshing.sizing import SizeConformity, size_conformity, size_field
+from ..status import Status
 from ..untangling.untangling import check_reference
-from .forked import can_fork, one_thread, over_processes, shard_borders
-from .local_repair import improve_by_excerpts
+from .forked import can_fork, in_processes, one_thread
+from .local_repair import on_submeshes
 from .options import ImproveOptions
-from .report import Progress, Report, join_reports
-from .stages import Job
+from .report import Progress, Report, left_over
+from .runner import Job, Log
+from .state import Edits, State
+from .strategies import improve_batch
 
 
 def improve(
@@ -33,7 +32,7 @@ def improve(
 ) -> tuple[MeshBatch, Report]:
     """Give every mesh of the batch upright triangles of good shape, as far as its boundary admits.
 
-    Vertices keep their number and order (but for topology "full"), fixed ones their place; boundary and
+    Vertices keep their number and order (but for topology "full"), fixed ones their positions; boundary and
     constrained edges stay.  Each mesh's result is the same whatever else is in the batch.  The report says for
     every mesh what was tried and how it ended; nothing is raised for a mesh that could not be
     solved (`report.check()` does that).
@@ -52,76 +51,97 @@ def improve(
     if options.reference is not None:
         check_reference(batch, options.reference)
     workers = options.workers or torch.get_num_threads()
-    separable = observe is None and hold is None and options.separable
-    if workers > 1 and separable and can_fork(batch.points.device):
-        borders = shard_borders(batch.triangle_offsets, workers)
-        if len(borders) > 2:
-            return _improve_in_shards(batch, options, progress, borders, workers)
+    shared = observe is None and hold is None and options.separable and can_fork(batch.points.device)
+    log = Log(len(batch), progress, observe)
     with one_thread():
-        return _improve(batch, options, progress, observe, hold)
+        state = State.of(batch, options, hold)
+        log.mark("initial", state, torch.ones_like(state.valid))
+        state = whole_job(options, workers if shared else 1)(state, log)
+    return state.mesh, report_on(state, log, options)
 
 
-def _improve_in_shards(
-    batch: MeshBatch,
-    options: ImproveOptions,
-    progress: Callable[[Progress], None] | None,
-    borders: list[int],
-    workers: int,
-) -> tuple[MeshBatch, Report]:
-    # What one mesh of many needs is loaded here once, and not by every process of every call.
-    import shapely  # noqa: F401
-
-    from ..remeshing import condensation as gathering  # noqa: F401
-    from ..untangling import retriangulation  # noqa: F401
-
-    place = torch.arange(len(batch), device=batch.points.device)
-
-    def task(i: int) -> tuple[MeshBatch, Report]:
-        return _improve(batch.select((place >= borders[i]) & (place < borders[i + 1])), options)
-
-    parts, reports = [], []
-    for i, (part, report) in enumerate(over_processes(task, len(borders) - 1, workers)):
-        parts.append(part)
-        reports.append(report)
-        if progress is not None:
-            left = int((~report.valid).sum())
-            progress(Progress(f"shard {i + 1} of {len(borders) - 1}", len(batch) - borders[i + 1], left))
-    return join(parts), join_reports(reports)
-
-
-def _improve(
-    batch: MeshBatch,
-    options: ImproveOptions,
-    progress: Callable[[Progress], None] | None = None,
-    observe: Callable[[str, MeshBatch], None] | None = None,
-    hold: Tensor | None = None,
-) -> tuple[MeshBatch, Report]:
+def whole_job(options: ImproveOptions, workers: int) -> Job:
+    """The strategy, in as many wrappers as the options call for; each steps aside where it is not needed."""
+    job: Job = partial(improve_batch, options=options)
     if options.local:
-        return improve_by_excerpts(batch, lambda part, watch: _improve_whole(part, options, progress, watch), observe)
-    return _improve_whole(batch, options, progress, observe, hold)
+        job = on_submeshes(job, options)
+    return in_processes(job, workers) if workers > 1 else job
 
 
-def _improve_whole(
-    batch: MeshBatch,
-    options: ImproveOptions,
-    progress: Callable[[Progress], None] | None = None,
-    observe: Callable[[str, MeshBatch], None] | None = None,
-    hold: Tensor | None = None,
-) -> tuple[MeshBatch, Report]:
-    job = Job(batch, options, progress, observe, hold)
-    job.diagnose()
-    if options.method == "paper":
-        job.paper()
-    else:
-        job.untangle()
-        job.refine()
-        if options.topology != "keep" and options.smooth.targets is None:
-            job.relocate()
-            if options.slides:
-                job.smooth_again()
-            if options.topology != "full":
-                job.polish()
-    job.count_moved()
+def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
+    """What is to be said of a finished state."""
+    from ..remeshing.remeshing import RemeshInfo
+
+    remeshed: RemeshInfo | None = None
+    sizes = _conformity(state, options)
     if options.topology == "full":
-        job.remesh()
-    return job.batch, job.report()
+        edits = Edits.none(state.status) if state.edits is None else state.edits
+        remeshed = RemeshInfo(
+            edits.splits, edits.collapses, edits.flips, edits.rounds, state.vertex_names.vertex_map(),
+            _sizes_wanted(state), _remeshed_conformity(state),
+        )  # fmt: skip
+        sizes = _of_valid(remeshed.conformity, state.valid)
+    return Report(
+        status=state.status,
+        valid=state.valid,
+        certified=state.certified,
+        quality=state.quality,
+        steps=log.steps,
+        messages=[_message(b, state, log, options) for b in range(len(state))],
+        moved=_moved(state),
+        remeshed=remeshed,
+        sizes=sizes,
+    )
+
+
+def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
+    """Why mesh `b` ended."""
+    status, reason = Status(int(state.status[b])), state.reasons[b]
+    text = status.message
+    if status == Status.INFEASIBLE:
+        text = reason
+    elif status in (Status.STALLED, Status.ITERATION_LIMIT) and log.steps[b][-1].inverted:
+        text = left_over(reason or text, log.steps[b], not options.may_flip)
+    return text + state.notes[b]
+
+
+def _moved(state: State) -> Tensor:
+    """(B,) int64 vertices that are not where they were given, of those that are still there."""
+    given = state.given
+    if state.names is None:
+        return segment_count((state.mesh.points != given.points).any(1), given.point_offsets)
+    row = state.of_given_vertices(state.names.vertex_map().old_to_new)
+    elsewhere = (state.mesh.points[row.clamp_min(0)] != given.points).any(1) & (row >= 0)
+    return segment_count(elsewhere, given.point_offsets)
+
+
+def _sizes_wanted(state: State) -> Tensor:
+    """(V,) the edge lengths that remeshing aimed at, and those there are in meshes that were not remeshed."""
+    there = size_field(state.mesh, "keep")
+    return there if state.sizes is None else torch.where(state.sizes.isnan(), there, state.sizes)
+
+
+def _remeshed_conformity(state: State) -> SizeConformity:
+    from ..remeshing.metric_sizing import metric_conformity
+
+    wanted = _sizes_wanted(state)
+    if isinstance(state.targets, MetricField):
+        return metric_conformity(state.mesh, wanted, state.targets.at_vertices(state.mesh))
+    return size_conformity(state.mesh, wanted)
+
+
+def _conformity(state: State, options: ImproveOptions) -> SizeConformity | None:
+    """How well edges follow the sizes that were asked for where vertices keep their number; None: none were."""
+    if state.sizes is None or options.topology == "full":
+        return None
+    asked = options.remesh.sizes
+    if not (callable(asked) or (isinstance(asked, str) and asked == "uniform")):
+        asked = state.sizes[spread(state.valid, state.mesh.point_offsets)]
+    found = size_conformity(state.mesh.select(state.valid), asked)
+    nothing = torch.full_like(state.quality.mean, torch.nan)
+    return SizeConformity(*(nothing.masked_scatter(state.valid, getattr(found, f.name)) for f in fields(found)))
+
+
+def _of_valid(found: SizeConformity, valid: Tensor) -> SizeConformity:
+    """The figures of the valid meshes; NaN for the others."""
+    return SizeConformity(*(torch.where(valid, getattr(found, f.name), torch.nan) for f in fields(found)))

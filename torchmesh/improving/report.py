@@ -1,7 +1,7 @@
 """What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Step:
     """One row of the paper's tables for one mesh: its state after a stage, and what the stage took.
 
-    pockets are those re-triangulated; kept is false where the stage was a try that brought no fewer
+    cavities are those re-triangulated; kept is false where the stage was a try that brought no fewer
     inverted triangles, so that the mesh went back; seconds are wall time of the stage, shared by all
     the meshes that were in it.
     """
@@ -33,7 +33,7 @@ class Step:
     flips: int
     iterations: int
     seconds: float
-    pockets: int = 0
+    cavities: int = 0
     kept: bool = True
 
 
@@ -48,7 +48,7 @@ class Report:
     quality    `Quality` at the end
     steps      for every mesh its rows of the paper's tables, in order
     messages   for every mesh, why it ended
-    moved      int64 vertices that are not where they were given (under topology "full": before any is added)
+    moved      int64 vertices that are not where they were given, of those that are still there
     remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
                vertices; None under the other topologies
     sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None where no sizes were
@@ -77,9 +77,9 @@ class Report:
         return self._total("flips")
 
     @property
-    def pockets(self) -> Tensor:
-        """(B,) int64 pockets re-triangulated."""
-        return self._total("pockets")
+    def cavities(self) -> Tensor:
+        """(B,) int64 cavities that were cut out and triangulated anew."""
+        return self._total("cavities")
 
     @property
     def worked(self) -> list[str]:
@@ -108,7 +108,7 @@ class Report:
 
     def to_dict(self) -> list[dict[str, Any]]:
         """One plain record a mesh, for JSON: None stands for what is infinite."""
-        worked, flipped, pockets = self.worked, self.flipped.tolist(), self.pockets.tolist()
+        worked, flipped, cavities = self.worked, self.flipped.tolist(), self.cavities.tolist()
         return [
             {
                 "mesh": b,
@@ -120,35 +120,12 @@ class Report:
                 "worked": worked[b],
                 "moved": int(self.moved[b]),
                 "flipped": flipped[b],
-                "pockets": pockets[b],
+                "cavities": cavities[b],
                 **({} if self.sizes is None else {"edge_length_over_size": self._size_record(b)}),
                 "steps": [{name: _plain(value) for name, value in vars(step).items()} for step in self.steps[b]],
             }
             for b in range(len(self.valid))
         ]
-
-
-def join_reports(reports: list[Report]) -> Report:
-    """The report on the joined meshes of several; not for those of topology "full"."""
-    return Report(
-        torch.cat([r.status for r in reports]),
-        torch.cat([r.valid for r in reports]),
-        torch.cat([r.certified for r in reports]),
-        Quality(*(torch.cat([getattr(r.quality, f.name) for r in reports]) for f in fields(Quality))),
-        [steps for r in reports for steps in r.steps],
-        [message for r in reports for message in r.messages],
-        torch.cat([r.moved for r in reports]),
-        sizes=_join_sizes(reports),
-    )
-
-
-def _join_sizes(reports: list[Report]) -> SizeConformity | None:
-    if all(r.sizes is None for r in reports):
-        return None
-    nothing = [torch.full_like(r.quality.mean, torch.nan) for r in reports]
-    columns = ([n if r.sizes is None else getattr(r.sizes, f.name) for r, n in zip(reports, nothing, strict=True)]
-               for f in fields(SizeConformity))  # fmt: skip
-    return SizeConformity(*(torch.cat(column) for column in columns))
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,21 @@ class Names:
         self.first = self.fresh = vertices
         self.births: list[Tensor] = []
 
+    @classmethod
+    def of_rows(cls, vertices: int, device: torch.device) -> "Names":
+        """The names of so many vertices before any came or went."""
+        return cls(vertices, device)
+
+    def renamed(self, of: Tensor) -> "Names":
+        """Other vertices (V',) by their names, out of the same supply."""
+        other = Names(self.first, of.device)
+        other.of, other.fresh, other.births = of.clone(), self.fresh, list(self.births)
+        return other
+
+    def select(self, rows: Tensor) -> "Names":
+        """The names of some of the vertices (V,) bool."""
+        return self.renamed(self.of[rows])
+
     def vertex_map(self) -> VertexMap:
         """The map from the vertices at the beginning to those of now."""
         kept = self.of < self.first

@@ -1,6 +1,6 @@
 """How `untangle` works: its options."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 
@@ -48,3 +48,7 @@ class UntangleOptions:
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise ValueError(f"UntangleOptions.{name} must not be negative, but is {value}")
+
+    def up_to(self, iterations: int) -> "UntangleOptions":
+        """The same with a smaller limit of iterations, if this one is smaller."""
+        return replace(self, max_iterations=min(self.max_iterations, iterations))

@@ -1,0 +1,310 @@
+"""A batch on its way through the stages, with everything that belongs to its rows.
+
+    State --- select(at) ---> the State of some of its meshes --- a stage ---> another State
+      ^                                                                             |
+      +--------------------------------- put(at, ...) ------------------------------+
+
+Nothing in a state ever changes: a stage gives back another one.  What the caller gave is kept whole beside it, and
+the rows of some meshes are taken out of it when a stage asks for them.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from ..mesh.batch import MeshBatch, put
+from ..mesh.curves import BoundaryCurves
+from ..mesh.measure import Quality, quality
+from ..mesh.ragged import spread
+from ..mesh.vertex_map import Names, exchange
+from ..optimising.metric_field import MetricField
+from ..optimising.targets import Targets, as_targets, narrow
+from ..status import Status
+from .options import ImproveOptions
+
+# The columns of `Quality` that have a row a triangle; the others have one a mesh.
+_OF_TRIANGLES = ("area", "inverse_mean_ratio", "upright")
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What the caller gave.
+
+    mesh       the batch
+    reference  the same meshes undeformed, or None
+    sizes      (V,) the edge lengths asked for, or None
+    stays      (V,) bool, the fixed vertices that do not slide either
+    """
+
+    mesh: MeshBatch
+    reference: MeshBatch | None
+    sizes: Tensor | None
+    stays: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Edits:
+    """Numbers of vertices and edges that came, went and flipped under topology "full", (B,) int64 each."""
+
+    splits: Tensor
+    collapses: Tensor
+    flips: Tensor
+    rounds: Tensor
+
+    @classmethod
+    def none(cls, like: Tensor) -> "Edits":
+        return cls(*(torch.zeros_like(like) for _ in range(4)))
+
+    def select(self, at: Tensor) -> "Edits":
+        """Those of the meshes `at` (B,) bool."""
+        return Edits(*(getattr(self, f.name)[at] for f in fields(self)))
+
+    def plus(self, more: "Edits") -> "Edits":
+        """These and `more` of the same meshes."""
+        return Edits(*(getattr(self, f.name) + getattr(more, f.name) for f in fields(self)))
+
+    def put(self, at: Tensor, part: "Edits") -> "Edits":
+        """These, with those of the meshes `at` (B,) bool replaced by `part`."""
+        return Edits(*(_put_rows(getattr(self, f.name), at, getattr(part, f.name)) for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """B meshes on their way.
+
+    mesh       the batch as it is now
+    origin     what the caller gave, whole: these are the meshes `meshes` of it
+    meshes     (B,) int64, ascending
+    quality    of `mesh`
+    status     (B,) int64 `Status`: RUNNING until it is known how the mesh ends
+    reasons    for each mesh why it cannot be mended, as far as that is known, or ""
+    notes      for each mesh what the report says besides, or ""
+    certified  (B,) bool, set at the end: the mesh is valid and its frame is the one given
+    curves     the curves along which vertices slide, and where they are on them; None: none slides
+    targets    what shapes to aim at; None: equilateral triangles
+    averaged   (V, 2) where averaging took the vertices that were given; None: it was not tried
+    lively     (V,) bool, vertices round which flips and smoothing may still gain; None: all
+    sizes      (V,) edge lengths that were asked for and have travelled with the vertices; None: none were
+    names      topology "full": which vertices of the given batch these are; None: all, in their order
+    edits      topology "full": what came and went
+    """
+
+    mesh: MeshBatch
+    origin: Given
+    meshes: Tensor
+    quality: Quality
+    status: Tensor
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    certified: Tensor
+    curves: BoundaryCurves | None = None
+    targets: Targets | None = None
+    averaged: Tensor | None = None
+    lively: Tensor | None = None
+    sizes: Tensor | None = None
+    names: Names | None = None
+    edits: Edits | None = None
+
+    @classmethod
+    def of(
+        cls,
+        batch: MeshBatch,
+        options: ImproveOptions,
+        hold: Tensor | None = None,
+        known: Quality | None = None,
+    ) -> "State":
+        """The state of a batch before any stage.
+
+        hold   (V,) bool, vertices that do not slide
+        known  the quality of the batch, if the caller has it
+        """
+        curves = None
+        if options.slides:
+            from ..smoothing.sliding import curves_of
+
+            curves = curves_of(batch, options.smooth.corner_angle, hold)
+        sizes = options.remesh.sizes
+        given = Given(
+            batch,
+            options.reference,
+            sizes if isinstance(sizes, Tensor) else None,
+            batch.fixed if curves is None else batch.fixed & ~curves.may_slide(batch.point_offsets),
+        )
+        count, device = len(batch), batch.points.device
+        return cls(
+            mesh=batch,
+            origin=given,
+            meshes=torch.arange(count, device=device),
+            quality=quality(batch) if known is None else known,
+            status=torch.full((count,), Status.RUNNING, device=device),
+            reasons=("",) * count,
+            notes=("",) * count,
+            certified=torch.zeros(count, dtype=torch.bool, device=device),
+            curves=curves,
+            targets=as_targets(options.smooth.targets),
+        )
+
+    def __len__(self) -> int:
+        return len(self.meshes)
+
+    @property
+    def valid(self) -> Tensor:
+        """(B,) bool: no triangle of the mesh is inverted."""
+        return self.quality.inverted == 0
+
+    @property
+    def running(self) -> Tensor:
+        """(B,) bool: it is not yet known how the mesh ends."""
+        return self.status == Status.RUNNING
+
+    @property
+    def tangled(self) -> Tensor:
+        """(B,) bool: the mesh has an inverted triangle, and there is still hope for it."""
+        return ~self.valid & self.running
+
+    @property
+    def given(self) -> MeshBatch:
+        """These meshes as the caller gave them."""
+        return self.origin.mesh.select(self._of_origin())
+
+    @property
+    def reference(self) -> MeshBatch | None:
+        """These meshes undeformed, if the caller gave them."""
+        return None if self.origin.reference is None else self.origin.reference.select(self._of_origin())
+
+    @property
+    def vertex_names(self) -> Names:
+        """Which vertices of the given batch these are."""
+        if self.names is not None:
+            return self.names
+        every = Names.of_rows(len(self.origin.mesh.points), self.meshes.device)
+        return every.select(spread(self._of_origin(), self.origin.mesh.point_offsets))
+
+    def of_given_vertices(self, rows: Tensor) -> Tensor:
+        """Those of the rows (V, ...) over all the vertices given that belong to these meshes."""
+        return rows[spread(self._of_origin().to(rows.device), self.origin.mesh.point_offsets.to(rows.device))]
+
+    def _of_origin(self) -> Tensor:
+        mask = torch.zeros(len(self.origin.mesh), dtype=torch.bool, device=self.meshes.device)
+        return mask.index_fill_(0, self.meshes, True)
+
+    def at(self, mesh: MeshBatch) -> "State":
+        """The state with other positions or triangles, measured."""
+        return replace(self, mesh=mesh, quality=quality(mesh, known=(self.mesh, self.quality)))
+
+    def ended(self, at: Tensor, status: Status) -> "State":
+        """The state where it is known that the meshes `at` (B,) bool end with `status`."""
+        return replace(self, status=torch.where(at, int(status), self.status))
+
+    def explained(self, reasons: dict[int, str]) -> "State":
+        """The state with `reasons` for some meshes, by their row."""
+        return replace(self, reasons=tuple(reasons.get(b, old) for b, old in enumerate(self.reasons)))
+
+    def noted(self, notes: dict[int, str]) -> "State":
+        """The state with something added to the notes of some meshes, by their row."""
+        return replace(self, notes=tuple(old + notes.get(b, "") for b, old in enumerate(self.notes)))
+
+    def select(self, at: Tensor) -> "State":
+        """The meshes `at` (B,) bool, with their rows of everything."""
+        if bool(at.all()):
+            return self
+        rows = spread(at, self.mesh.point_offsets)
+        chosen = at.nonzero().squeeze(1).tolist()
+
+        def by_vertex(values: Tensor | None) -> Tensor | None:
+            return None if values is None else values[rows]
+
+        return State(
+            mesh=self.mesh.select(at),
+            origin=self.origin,
+            meshes=self.meshes[at],
+            quality=_select_quality(self.quality, at, spread(at, self.mesh.triangle_offsets)),
+            status=self.status[at],
+            reasons=tuple(self.reasons[b] for b in chosen),
+            notes=tuple(self.notes[b] for b in chosen),
+            certified=self.certified[at],
+            curves=None if self.curves is None else self.curves.select(at),
+            targets=narrow(self.targets, self.mesh, at),
+            averaged=by_vertex(self.averaged),
+            lively=by_vertex(self.lively),
+            sizes=by_vertex(self.sizes),
+            names=None if self.names is None else self.names.select(rows),
+            edits=None if self.edits is None else self.edits.select(at),
+        )
+
+    def put(self, at: Tensor, part: "State") -> "State":
+        """This state with the meshes `at` (B,) bool replaced by those of `part`, which came of `select(at)`.
+
+        What steers the work on all meshes (`averaged`, `lively`) is not taken over.
+        """
+        if len(part) == len(self):
+            return part
+        if part.names is not None or self.names is not None:
+            return self._exchanged(at, part)
+        whole = self._with_rows_of_meshes(at, part)
+        triangles = spread(at, self.mesh.triangle_offsets)
+        sizes = self.sizes
+        if part.sizes is not None:
+            sizes = part.sizes.new_full((len(self.mesh.points),), torch.nan) if sizes is None else sizes
+            sizes = _put_rows(sizes, spread(at, self.mesh.point_offsets), part.sizes)
+        return replace(
+            whole,
+            mesh=put(self.mesh, at, part.mesh),
+            quality=_put_quality(self.quality, at, triangles, part.quality),
+            curves=self.curves if self.curves is None or part.curves is None else self.curves.put(at, part.curves),
+            sizes=sizes,
+        )
+
+    def _with_rows_of_meshes(self, at: Tensor, part: "State") -> "State":
+        """This state with what has one row a mesh taken from `part`."""
+        texts = {b: (part.reasons[i], part.notes[i]) for i, b in enumerate(at.nonzero().squeeze(1).tolist())}
+        kept = list(zip(self.reasons, self.notes, strict=True))
+        reasons, notes = zip(*(texts.get(b, old) for b, old in enumerate(kept)), strict=True)
+        return replace(
+            self,
+            status=_put_rows(self.status, at, part.status),
+            certified=_put_rows(self.certified, at, part.certified),
+            reasons=reasons,
+            notes=notes,
+        )
+
+    def _exchanged(self, at: Tensor, part: "State") -> "State":
+        """As `put`, where the numbers of vertices and triangles may have changed."""
+        names, mine = self.vertex_names, part.vertex_names
+        sizes = self.mesh.points.new_full((len(self.mesh.points),), torch.nan, dtype=torch.float64)
+        sizes = sizes if self.sizes is None else self.sizes
+        new_sizes = sizes.new_full((len(part.mesh.points),), torch.nan) if part.sizes is None else part.sizes
+        pairs = [(names.of, mine.of), (sizes, new_sizes)]
+        if isinstance(self.targets, MetricField) and isinstance(part.targets, MetricField):
+            pairs.append((self.targets.at_vertices(self.mesh), part.targets.at_vertices(part.mesh)))
+        mesh, of, sizes, *metric = exchange(self.mesh, at, part.mesh, pairs)
+        edits = Edits.none(self.status) if self.edits is None else self.edits
+        return replace(
+            self._with_rows_of_meshes(at, part),
+            mesh=mesh,
+            quality=quality(mesh),
+            targets=MetricField(metric[0]) if metric else self.targets,
+            curves=self.curves if self.curves is None or part.curves is None else self.curves.put(at, part.curves),
+            sizes=sizes,
+            names=mine.renamed(of),
+            edits=edits if part.edits is None else edits.put(at, part.edits),
+            averaged=None,
+            lively=None,
+        )
+
+
+def _put_rows(values: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """`values` (N, ...) with the rows `at` (N,) bool replaced by `part`."""
+    return values.index_copy(0, at.nonzero().squeeze(1), part)
+
+
+def _select_quality(q: Quality, at: Tensor, triangles: Tensor) -> Quality:
+    rows = triangles.nonzero().squeeze(1)
+    columns = {f.name: getattr(q, f.name) for f in fields(q)}
+    return Quality(**{n: v.index_select(0, rows) if n in _OF_TRIANGLES else v[at] for n, v in columns.items()})
+
+
+def _put_quality(q: Quality, at: Tensor, triangles: Tensor, part: Quality) -> Quality:
+    masks = {f.name: triangles if f.name in _OF_TRIANGLES else at for f in fields(q)}
+    return Quality(**{name: _put_rows(getattr(q, name), mask, getattr(part, name)) for name, mask in masks.items()})

@@ -1,0 +1,325 @@
+"""The strategy: which stages a batch goes through, to be read from top to bottom.
+
+      tangled meshes                                     valid meshes
+   +-- average: neighbours' means, triangles kept    +-> flips that lower the smoother's energy <-+
+   |-- flip and untangle-beta, in turn               |   smooth (inverse mean ratio) -------------+
+   |-- retriangulate cavities                        |        | no flip is left, or quality settles
+   +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> polish the worst -> certify
+
+Every mesh goes its own way; the meshes on one stretch of the way travel as one batch.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ..diagnosing.diagnosis import diagnose
+from ..flipping.delaunay import FlipOptions
+from ..mesh.batch import MeshBatch
+from ..mesh.certificate import same_frame
+from ..mesh.neighbourhoods import corners_of, rewired, touching, vertex_size
+from ..mesh.ragged import segment_any
+from ..optimising.lbfgs import LbfgsOptions
+from ..remeshing.criteria import crowded
+from ..remeshing.options import RemeshOptions
+from ..smoothing.polishing import bad_triangles
+from ..smoothing.smoothing import SmoothOptions
+from ..status import Status
+from ..untangling.options import UntangleOptions
+from .options import ImproveOptions
+from .runner import Log, Runner
+from .stages import (
+    attempt,
+    average,
+    flip,
+    polish,
+    regularised,
+    relocate,
+    remesh,
+    remove_vertices,
+    retriangulate,
+    smooth,
+    untangle_beta,
+    warp,
+)
+from .state import State
+
+Step = Callable[[State, Runner], State]
+
+
+def improve_batch(state: State, log: Log, options: ImproveOptions) -> State:
+    """The whole job on a batch, in this process and mesh by mesh as a whole."""
+    if options.may_flip:
+        # Computed once here: selections, flips and `put` hand them on.
+        state.mesh.twin  # noqa: B018
+    run = Runner(log)
+    for step in strategy(options):
+        state = step(state, run)
+    return certify(state)
+
+
+def strategy(o: ImproveOptions) -> list[Step]:
+    """The steps of the whole job, in order."""
+    if o.method == "paper":
+        return [partial(tell_the_hopeless, o=o), partial(paper, o=o)]
+    steps = [tell_the_hopeless, untangle_by_averaging]
+    if o.may_flip:
+        steps += [untangle_with_flips, untangle_by_retriangulation]
+    steps += [untangle_with_triangles_kept]
+    steps += [flip_and_smooth if o.may_flip else smooth_slivers, smooth_at_last]
+    if o.travels:
+        steps += [let_vertices_travel]
+    if o.polishes:
+        steps += [polish_the_worst]
+    if o.topology == "full":
+        steps += [remove_where_there_is_no_room, remesh_the_valid]
+    return [partial(step, o=o) for step in steps]
+
+
+# --- Kim 2017 ---
+
+
+def paper(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Kim 2017, figure 2."""
+    stall = Stall.of(state)
+    for turn in range(o.untangle_rounds):
+        if not bool(state.tangled.any()):
+            break
+        step_2 = o.untangle.up_to(20 * 3**turn)
+        state, flipped = run("flip", flip(FlipOptions.paper()), state, state.tangled & o.may_flip)
+        state, moved = run("untangle-beta", untangle_beta(step_2), state, state.tangled)
+        stall = stall.after(state, flipped.flips, moved.iterations, short=step_2 != o.untangle)
+        state = state.ended(state.tangled & stall.reached(o), Status.STALLED)
+    state = state.ended(state.tangled, Status.ITERATION_LIMIT)
+    state, _ = run("smooth", smooth(o.smooth), state, state.valid)
+    return state.ended(state.running, Status.SETTLED)
+
+
+@dataclass(frozen=True, eq=False)
+class Stall:
+    """When the paper's loop has come to a standstill; the paper names no limit.
+
+    best   (B,) the fewest inverted triangles so far
+    since  (B,) rounds since there were fewer
+    quiet  (B,) rounds in a row without a flip in which L-BFGS stopped after its least number of steps
+    """
+
+    best: Tensor
+    since: Tensor
+    quiet: Tensor
+
+    @classmethod
+    def of(cls, state: State) -> "Stall":
+        """Before the first round."""
+        none = torch.zeros_like(state.quality.inverted)
+        return cls(state.quality.inverted, none, none)
+
+    def after(self, state: State, flips: Tensor, iterations: Tensor, short: bool) -> "Stall":
+        """After a round with so many flips and iterations (B,); a short round does not count as one in vain."""
+        inverted = state.quality.inverted
+        # No flip and a minimum already: another round would be the same again.
+        still = (flips == 0) & (iterations <= LbfgsOptions().patience)
+        return Stall(
+            torch.minimum(self.best, inverted),
+            torch.where((inverted < self.best) | short, 0, self.since + 1),
+            torch.where(still, self.quiet + 1, 0),
+        )
+
+    def reached(self, o: ImproveOptions) -> Tensor:
+        """(B,) bool: further rounds would be in vain."""
+        # Flips may open a way where the minimiser alone stood still; without them nothing would change.
+        patience = o.rounds.patience_with_flips if o.may_flip else 1
+        return (self.since >= patience) | (self.quiet >= o.rounds.quiet)
+
+
+# --- from tangled to valid ---
+
+
+def tell_the_hopeless(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Meshes that no method can mend are told, before any work on them."""
+    at = state.tangled
+    if not bool(at.any()):
+        return state
+    meshes = at.nonzero().squeeze(1).tolist()
+    found: dict[int, list[str]] = {}
+    may_change: Literal["keep", "flip"] = "flip" if o.may_flip else "keep"
+    for problem in diagnose(state.mesh.select(at), may_change):
+        found.setdefault(meshes[problem.mesh], []).append(problem.message)
+    reasons = {}
+    for b, texts in found.items():
+        more = f"; and {len(texts) - 5} more of the kind" if len(texts) > 5 else ""
+        reasons[b] = "; ".join(texts[:5]) + more
+    hopeless = torch.zeros_like(at).index_fill_(0, torch.tensor(list(found), dtype=torch.int64, device=at.device), True)
+    return state.explained(reasons).ended(hopeless, Status.INFEASIBLE)
+
+
+def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State:
+    """FEMWARP from the reference, then neighbours' means: scrambled interiors need no more."""
+    if o.reference is not None:
+        state, _ = run("femwarp", attempt(warp(), _given), state, state.tangled)
+    if bool(state.tangled.any()):
+        state, _ = run("average", attempt(average(), _given), state, state.tangled)
+    return replace(state, averaged=state.mesh.points)
+
+
+def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Steps 1 and 2 in turn, by a flip rule that can only lower the inverted area."""
+    best, since = state.quality.inverted, torch.zeros_like(state.quality.inverted)
+    for _ in range(o.untangle_rounds):
+        going = state.tangled & (since < o.rounds.patience)
+        state, _ = run("flip", flip(FlipOptions(max_rounds=o.rounds.flip_rounds)), state, going)
+        state, _ = run("untangle-beta", untangle_beta(o.untangle), state, going & state.tangled)
+        inverted = state.quality.inverted
+        since = torch.where(inverted <= o.rounds.progress * best, 0, since + 1)
+        best = torch.minimum(best, inverted)
+    return state
+
+
+def untangle_by_retriangulation(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Inside a simple boundary this always succeeds."""
+    if bool(state.tangled.any()):
+        state, _ = run("retriangulate", attempt(retriangulate()), state, state.tangled)
+    return state
+
+
+def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -> State:
+    """The regularised functional, from the mesh as given, then from where averaging took it."""
+    if bool(state.tangled.any()):
+        state, _ = run("regularised", attempt(regularised(UntangleOptions()), _given), state, state.tangled)
+        elsewhere = segment_any((state.averaged != state.given.points).any(1), state.given.point_offsets)
+        again = regularised(UntangleOptions(size_sweeps=(100,)))
+        state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & elsewhere)
+    return replace(state.ended(state.tangled, Status.STALLED), averaged=None)
+
+
+def _given(state: State) -> MeshBatch:
+    return state.given
+
+
+def _averaged(state: State) -> MeshBatch:
+    assert state.averaged is not None
+    return state.given.with_points(state.averaged)
+
+
+# --- from valid to good ---
+
+
+def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:
+    """A few triangles that are all but flat would drown the others in q^2, and more so in its ceiling."""
+    first = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
+    return run("smooth", smooth(first), state, state.valid & (state.quality.max > o.refine.sliver))[0]
+
+
+def flip_and_smooth(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Flips and smoothing in turn, round what still changes, until neither helps."""
+    state = smooth_slivers(state, run, o)
+    rough = SmoothOptions(power=o.smooth.power, max_iterations=10, energy_tolerance=1e-3, single=True)
+    going, size = state.valid, vertex_size(state.mesh)
+    state = replace(state, lively=torch.ones_like(state.mesh.fixed))
+    for turn in range(o.smooth_rounds):
+        before = state
+        # At first one flip calls for the next, and smoothing for others.
+        most = FlipOptions().max_rounds if turn else o.refine.first_flip_rounds
+        state, flipped = run("flip", flip(FlipOptions(rule="shape", max_rounds=most)), state, going)
+        if turn > 1:
+            state = replace(state, lively=_round_flips(before, state))
+        state = smooth_in_fitting_precision(state, run, o, rough, going)
+        if turn:
+            moved = (state.mesh.points - before.mesh.points).square().sum(1)
+            state = replace(state, lively=moved > (o.refine.rest * size).square())
+        # Towards targets that are not equilateral the quality known here may even fall.
+        if turn and o.smooth.targets is None:
+            going = going & ~_settled(before, state, o)
+        going = going & (flipped.flips > 0)
+    return replace(state, lively=None)
+
+
+def _round_flips(before: State, after: State) -> Tensor:
+    """(V,) bool: the lively vertices, those whose triangles flipped, and the neighbours of both."""
+    assert after.lively is not None
+    near = after.lively | rewired(before.mesh, after.mesh)
+    return corners_of(after.mesh, touching(after.mesh, near))
+
+
+def _settled(before: State, after: State, o: ImproveOptions) -> Tensor:
+    """(B,) bool: a round brought so little that another one is not worth it."""
+    q, r = after.quality, o.refine
+    gain = before.quality.mean - q.mean
+    nothing = (gain < r.least_gain) & (before.quality.max - q.max < r.least_gain_of_maximum * before.quality.max)
+    # Where no triangle is poor, the last smoothing does the rest.
+    return nothing | ((gain < r.little_gain) & (q.max < (o.smooth.ceiling or 1.0)))
+
+
+def smooth_in_fitting_precision(
+    state: State, run: Runner, o: ImproveOptions, options: SmoothOptions, at: Tensor
+) -> State:
+    """Smooth the meshes `at`, those with very poor triangles in double precision whatever the options say."""
+    if options.single:
+        # In eighth powers, slivers leave the range of single precision.
+        poor = at & (state.quality.max > o.refine.coarse)
+        state, _ = run("smooth", smooth(replace(options, single=False)), state, poor)
+        at = at & ~poor
+    return run("smooth", smooth(options), state, at)[0]
+
+
+def smooth_at_last(state: State, run: Runner, o: ImproveOptions) -> State:
+    """The smoothing that cares for the worst triangles, too."""
+    state = smooth_in_fitting_precision(state, run, o, o.smooth, state.valid)
+    return state.ended(state.running, Status.SETTLED)
+
+
+def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Vertices travel from crowded to empty regions where shapes stayed poor, or sizes were asked for."""
+    # Where vertices may also come and go, that is the way to sizes.
+    asked = RemeshOptions() if o.topology == "full" else o.remesh
+    if not (o.relocate or asked.sizes_asked):
+        return state
+    at = crowded(state.quality, asked, state.mesh.triangle_offsets)
+    if bool(at.any()):
+        state, work = run("relocate", relocate(o.remesh, keep_sizes=asked.sizes_asked), state, at)
+        if o.slides:
+            state = smooth_in_fitting_precision(state, run, o, o.smooth, work.took & state.valid)
+    return state
+
+
+def polish_the_worst(state: State, run: Runner, o: ImproveOptions) -> State:
+    """The triangles that are still worse than is asked are worked on one by one."""
+    if o.polish is None:
+        return state
+    bad = bad_triangles(state.mesh, state.quality, o.polish)
+    return run("polish", polish(o.polish), state, segment_any(bad, state.mesh.triangle_offsets))[0]
+
+
+# --- vertices that come and go ---
+
+
+def remove_where_there_is_no_room(state: State, run: Runner, o: ImproveOptions) -> State:
+    """The last resort of topology "full" for meshes that nothing has mended."""
+    stuck = ~state.valid & (state.status == Status.STALLED)
+    if bool(stuck.any()):
+        state, _ = run("vertex-removal", remove_vertices(o.remesh), state, stuck)
+    return state.ended(stuck & state.valid, Status.SETTLED)
+
+
+def remesh_the_valid(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Splits and collapses towards the sizes asked for; what slides then slides once more."""
+    at = state.valid
+    if not bool(at.any()):
+        return state
+    state, _ = run("remesh", remesh(o.remesh), state, at)
+    if o.slides:
+        state = smooth_in_fitting_precision(state, run, o, o.smooth, at)
+        state, _ = run("flip", flip(FlipOptions(rule="shape")), state, at)
+        state = smooth_in_fitting_precision(state, run, o, o.smooth, at)
+    return polish_the_worst(state, run, o) if o.smooth.targets is None else state
+
+
+def certify(state: State) -> State:
+    """Say of every mesh whether it is valid and its frame is what it was, by signs and edges looked at anew."""
+    names = None if state.names is None else state.names.vertex_map()
+    stays = state.of_given_vertices(state.origin.stays)
+    return replace(state, certified=state.valid & same_frame(state.given, state.mesh, stays, names))
