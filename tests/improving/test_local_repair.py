@@ -1,4 +1,4 @@
-"""Excerpts: a small tangle in a large good mesh costs what its neighbourhood costs, and is judged as a whole."""
+"""Submeshes: a small tangle in a large good mesh costs what its neighbourhood costs, and is judged as a whole."""
 
 import dataclasses
 from typing import Any
@@ -15,8 +15,11 @@ from torch import Tensor
 import torchmesh as tm
 from torchmesh import ImproveOptions, MeshBatch, improve, join, quality
 from torchmesh.improving import forked
-from torchmesh.improving import local_repair as excerpts
-from torchmesh.improving.local_repair import neighbourhood
+from torchmesh.improving.local_repair import Submeshes, damaged_submeshes, neighbourhood
+from torchmesh.improving.options import LocalRepair
+from torchmesh.improving.runner import Log
+from torchmesh.improving.state import State
+from torchmesh.improving.strategies import improve_batch
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.batch import put
 
@@ -25,10 +28,14 @@ WHOLE = ImproveOptions(excerpts=False)
 
 @pytest.fixture
 def low(monkeypatch):
-    """Excerpts of meshes that are small enough for tests."""
-    monkeypatch.setattr(excerpts, "_LARGE", 2_000)
-    monkeypatch.setattr(excerpts, "_RINGS", 3)
-    monkeypatch.setattr(excerpts, "_RINGS_BY_WIDTH", 0.0)
+    """Meshes that are small enough for tests count as large."""
+    small = dataclasses.asdict(LocalRepair()) | {"large": 2_000, "rings": 3, "rings_by_width": 0.0}
+    monkeypatch.setattr(LocalRepair.__init__, "__defaults__", tuple(small.values()))
+
+
+def cut(batch: MeshBatch) -> Submeshes | None:
+    """The submeshes that `improve` would work on by default."""
+    return damaged_submeshes(batch, quality(batch), LocalRepair())
 
 
 def patch(columns: int = 50, rows: int = 40, seed: int = 0, **of_mesh: Any) -> MeshBatch:
@@ -145,10 +152,7 @@ def test_the_neighbourhood_is_what_a_walk_by_sets_finds(kind, picks, rings, thro
     corners = mesh.triangles[damage]
     points = mesh.points.clone()
     points[corners[:, 0]] += throw
-    with pytest.MonkeyPatch.context() as to:
-        to.setattr(excerpts, "_RINGS", rings)
-        to.setattr(excerpts, "_RINGS_BY_WIDTH", 0.0)
-        place = neighbourhood(points, mesh.triangles, damage)
+    place = neighbourhood(points, mesh.triangles, damage, rings)
     vertices, rim, taken, across = slow_neighbourhood(mesh.triangles, damage.tolist(), rings)
     assert place.vertices.tolist() == sorted(vertices)
     assert place.vertices[place.rim].tolist() == sorted(rim)
@@ -163,27 +167,27 @@ def test_damage_in_one_point_is_found(where):
     points = mesh.points.clone()
     points[core] = where
     damage = core[mesh.triangles].all(1).nonzero().squeeze(1)
-    place = neighbourhood(points, mesh.triangles, damage)
+    place = neighbourhood(points, mesh.triangles, damage, 8)
     assert set(damage.tolist()) < set(place.triangles.tolist())
     points[:] = 1.0
-    assert torch.equal(neighbourhood(points, mesh.triangles, damage).triangles, place.triangles)
+    assert torch.equal(neighbourhood(points, mesh.triangles, damage, 8).triangles, place.triangles)
 
 
 @pytest.mark.usefixtures("low")
 def test_only_large_good_meshes_with_small_tangles_are_cut():
     one = tangled(patch(), MIDDLE)
-    assert excerpts.excerpts(one) is not None
-    assert excerpts.excerpts(patch()) is None, "nothing is tangled"
-    assert excerpts.excerpts(tangled(patch(20, 20), (5.0, 8.0))) is None, "small"
-    assert excerpts.excerpts(tangled(patch(), MIDDLE, radius=15)) is None, "tangled all over"
-    assert excerpts.excerpts(tangled(patch(), LEFT, MIDDLE, RIGHT, (10.0, 30.0), radius=3)) is None, "at many places"
-    assert excerpts.excerpts(tangled(meshes.disturbed(patch(), 0.1, 3), MIDDLE)) is None, "poor elsewhere"
+    assert cut(one) is not None
+    assert cut(patch()) is None, "nothing is tangled"
+    assert cut(tangled(patch(20, 20), (5.0, 8.0))) is None, "small"
+    assert cut(tangled(patch(), MIDDLE, radius=15)) is None, "tangled all over"
+    assert cut(tangled(patch(), LEFT, MIDDLE, RIGHT, (10.0, 30.0), radius=3)) is None, "at many places"
+    assert cut(tangled(meshes.disturbed(patch(), 0.1, 3), MIDDLE)) is None, "poor elsewhere"
 
 
 def test_the_bound_of_large_is_as_documented():
-    assert excerpts.excerpts(tangled(patch(100, 100), (20.0, 40.0), radius=1.5)) is None
+    assert cut(tangled(patch(100, 100), (20.0, 40.0), radius=1.5)) is None
     batch = tangled(patch(101, 101), (20.0, 40.0), radius=1.5)
-    found = excerpts.excerpts(batch)
+    found = cut(batch)
     assert found is not None
     assert len(found.part.triangles) < 0.05 * len(batch.triangles)
 
@@ -203,12 +207,12 @@ def test_the_bound_of_large_is_as_documented():
     ],
     ids=["off", "paper", "full", "slide", "smooth-slide", "sizes", "size-field", "reference", "targets"],
 )
-def test_what_is_about_the_whole_mesh_is_not_done_on_excerpts(options):
+def test_what_is_about_the_whole_mesh_is_not_done_on_submeshes(options):
     assert not options.local
 
 
 @pytest.mark.parametrize("topology", ["keep", "flip"])
-def test_the_default_is_done_on_excerpts(topology):
+def test_the_default_is_done_on_submeshes(topology):
     assert ImproveOptions(topology=topology).local
 
 
@@ -217,10 +221,10 @@ def test_the_default_is_done_on_excerpts(topology):
 
 @pytest.mark.usefixtures("low")
 @pytest.mark.parametrize("topology", ["keep", "flip"])
-def test_it_is_the_excerpt_alone_put_back(topology):
+def test_it_is_the_submesh_alone_put_back(topology):
     options = ImproveOptions(topology=topology)
     mesh = tangled(patch(), MIDDLE)
-    found = excerpts.excerpts(mesh)
+    found = cut(mesh)
     # By hand: `from_arrays` finds the rim by itself, as the boundary of the part.
     used, local = np.unique(mesh.triangles[found.triangles].numpy(), return_inverse=True)
     alone = MeshBatch.from_arrays(mesh.points[used], local.reshape(-1, 3), mesh.fixed[used])
@@ -234,12 +238,12 @@ def test_it_is_the_excerpt_alone_put_back(topology):
     assert torch.equal(after.triangles[found.triangles], rows[its.triangles])
     outside = torch.ones(len(mesh.points), dtype=torch.bool).index_fill_(0, rows, False)
     assert torch.equal(after.points[outside], mesh.points[outside])
-    assert [s for s in stages(report) if s != "excerpt"] == stages(its_report)
-    assert stages(report)[:2] == ["initial", "excerpt"]
-    assert f"an excerpt, {len(local.reshape(-1, 3)):,} of 4,000 triangles" in report.messages[0]
+    assert [s for s in stages(report) if s != "submesh"] == stages(its_report)
+    assert stages(report)[:2] == ["initial", "submesh"]
+    assert f"only a submesh, {len(local.reshape(-1, 3)):,} of 4,000 triangles" in report.messages[0]
     assert report.status.tolist() == its_report.status.tolist()
     assert report.flipped.tolist() == its_report.flipped.tolist()
-    assert report.to_dict()[0]["tried"][0] == "excerpt"
+    assert report.to_dict()[0]["tried"][0] == "submesh"
     assert_sound(mesh, after, report)
 
 
@@ -257,7 +261,7 @@ def test_the_rest_keeps_its_bits_and_the_caller_his_mesh():
 
 
 @pytest.mark.usefixtures("low")
-def test_what_is_fixed_or_constrained_stays_in_the_excerpt_and_elsewhere():
+def test_what_is_fixed_or_constrained_stays_in_the_submesh_and_elsewhere():
     plain = meshes.equilateral(50, 40)
     index = torch.arange(51 * 41).reshape(51, 41)
     # A line of edges right through the mesh, and so through the tangle and across the rim.
@@ -269,7 +273,7 @@ def test_what_is_fixed_or_constrained_stays_in_the_excerpt_and_elsewhere():
     assert len(mesh.constrained_edges) == 50
     place = tuple(float(v) for v in mesh.points[index[25, 18]])
     mesh = tangled(mesh, place, radius=2.5)
-    found = excerpts.excerpts(mesh)
+    found = cut(mesh)
     part = found.part
     mine = {tuple(sorted(edge)) for edge in found.vertices[part.constrained_edges].tolist()}
     inner = {pair for pair, count in edge_counts(mesh.triangles[found.triangles]).items() if count == 2}
@@ -277,19 +281,19 @@ def test_what_is_fixed_or_constrained_stays_in_the_excerpt_and_elsewhere():
     assert 0 < len(mine) < 50
     assert bool(part.fixed[(found.vertices == lone).nonzero()])
     after, report = improve(mesh)
-    assert "excerpt" in stages(report)
+    assert "submesh" in stages(report)
     assert "whole" not in stages(report)
     assert_sound(mesh, after, report)
 
 
 @pytest.mark.usefixtures("low")
-def test_constrained_edges_on_the_rim_are_no_business_of_the_excerpt():
+def test_constrained_edges_on_the_boundary_are_no_business_of_the_submesh():
     mesh = tangled(patch(), MIDDLE)
-    found = excerpts.excerpts(mesh)
+    found = cut(mesh)
     once = [sorted(pair) for pair, count in edge_counts(found.part.triangles).items() if count == 1]
     rim = found.vertices[torch.tensor(once)]
     held = MeshBatch.from_arrays(patch().points, mesh.triangles, constrained_edges=rim).with_points(mesh.points)
-    again = excerpts.excerpts(held)
+    again = cut(held)
     assert torch.equal(again.triangles, found.triangles)
     assert len(held.constrained_edges) == len(rim)
     assert len(again.part.constrained_edges) == 0
@@ -301,18 +305,18 @@ def test_constrained_edges_on_the_rim_are_no_business_of_the_excerpt():
 def test_a_tangle_at_the_boundary():
     mesh = tangled(patch(), RIM, radius=3.0)
     after, report = improve(mesh)
-    found = excerpts.excerpts(mesh)
+    found = cut(mesh)
     own = {frozenset(edge) for edge in found.vertices[found.part.triangles[:, [0, 1]]].tolist()}
     assert own & {frozenset(edge) for edge in boundary(mesh.triangles)}
-    assert "excerpt" in stages(report)
+    assert "submesh" in stages(report)
     assert "whole" not in stages(report)
     assert_sound(mesh, after, report)
 
 
 @pytest.mark.usefixtures("low")
-def test_two_tangles_far_apart_are_one_excerpt_of_two_pieces():
+def test_two_tangles_far_apart_are_one_submesh_of_two_components():
     mesh = tangled(patch(), LEFT, RIGHT, radius=1.2)
-    part = excerpts.excerpts(mesh).part
+    part = cut(mesh).part
     twin = connectivity.twins(part.triangles)
     assert len(connectivity.triangle_components(part.triangles, twin).unique()) == 2
     after, report = improve(mesh)
@@ -374,7 +378,7 @@ def test_joined_equals_alone_to_the_bit():
             dataclasses.replace(report, quality=own, steps=[report.steps[b]], messages=[report.messages[b]], **columns),
             its,
         )
-    assert [s[1] == "excerpt" for s in (stages(report, b) for b in range(6))] == [False, True, False, False, True, True]
+    assert [s[1] == "submesh" for s in (stages(report, b) for b in range(6))] == [False, True, False, False, True, True]
     assert_report_is_of(report, join(parts), batch)
 
 
@@ -396,10 +400,12 @@ def test_shards_do_the_same(monkeypatch):
     assert_same_but_for_time(report, again)
 
 
-# --- where an excerpt does not do ---
+# --- where a submesh does not do ---
 
 
-KEEP = ImproveOptions(topology="keep")
+def keep() -> ImproveOptions:
+    """Made anew each time, with the bounds that the fixture has lowered."""
+    return ImproveOptions(topology="keep")
 
 
 def poor() -> list[MeshBatch]:
@@ -414,17 +420,17 @@ def poor() -> list[MeshBatch]:
 
 
 @pytest.mark.usefixtures("low")
-def test_an_excerpt_of_poor_shape_is_left_for_the_whole_mesh():
+def test_a_submesh_of_poor_shape_is_left_for_the_whole_mesh():
     mesh = poor()[0]
     seen: list[tuple[str, MeshBatch]] = []
-    after, report = improve(mesh, KEEP, observe=lambda stage, batch: seen.append((stage, batch)))
-    usual, its = improve(mesh, dataclasses.replace(KEEP, excerpts=False))
+    after, report = improve(mesh, keep(), observe=lambda stage, batch: seen.append((stage, batch)))
+    usual, its = improve(mesh, dataclasses.replace(keep(), excerpts=False))
     assert_same_rows(after, usual)
-    assert stages(report)[:2] == ["initial", "excerpt"]
+    assert stages(report)[:2] == ["initial", "submesh"]
     back = stages(report).index("whole")
     assert not report.steps[0][back].kept
     assert stages(report)[back + 1 :] == stages(its)[1:]
-    assert report.messages[0] == its.messages[0] + "; an excerpt round the damage was tried in vain"
+    assert report.messages[0] == its.messages[0] + "; a submesh round the damage was tried in vain"
     assert [stage for stage, _ in seen] == stages(report)
     assert_same_rows(seen[back][1], mesh)
     assert_same_rows(seen[-1][1], after)
@@ -435,11 +441,11 @@ def test_an_excerpt_of_poor_shape_is_left_for_the_whole_mesh():
 def test_in_a_batch_only_that_mesh_goes_on_as_a_whole():
     parts = poor()
     seen: list[tuple[str, MeshBatch]] = []
-    batch, report = improve(join(parts), KEEP, observe=lambda stage, batch: seen.append((stage, batch)))
-    assert ["excerpt" in stages(report, b) for b in range(3)] == [True, True, False]
+    batch, report = improve(join(parts), keep(), observe=lambda stage, batch: seen.append((stage, batch)))
+    assert ["submesh" in stages(report, b) for b in range(3)] == [True, True, False]
     assert ["whole" in stages(report, b) for b in range(3)] == [True, False, False]
     for mesh, together in zip(parts, batch.split(), strict=True):
-        alone, _ = improve(mesh, KEEP)
+        alone, _ = improve(mesh, keep())
         assert_same_rows(alone, together)
     assert_report_is_of(report, join(parts), batch)
     assert_same_rows(seen[-1][1], batch)
@@ -467,16 +473,17 @@ def test_a_mesh_that_cannot_be_valid_is_told_the_reason_for_the_whole():
 @pytest.mark.usefixtures("low")
 def test_an_edge_that_the_outside_has_already_is_no_edge_inside():
     mesh = tangled(patch(), MIDDLE)
-    found = excerpts.excerpts(mesh)
-    part, report = improve(found.part, WHOLE)
-    assert found.well_done(part, report).tolist() == [True]
+    found = cut(mesh)
+    done = improve_batch(State.of(found.part, WHOLE), Log(1), WHOLE)
+    part = done.mesh
+    assert found.well_done(done).tolist() == [True]
     inner = connectivity.edges(part.triangles, connectivity.twins(part.triangles))
     inner = found.vertices[inner[~part.fixed[inner].any(1)][:1]]
     taken = connectivity.edge_keys(inner[:, 0], inner[:, 1], len(mesh.points))
     clashing = dataclasses.replace(found, across=torch.cat([found.across, taken]))
-    assert clashing.well_done(part, report).tolist() == [False]
-    uncertified = dataclasses.replace(report, certified=~report.certified)
-    assert found.well_done(part, uncertified).tolist() == [False]
+    assert clashing.well_done(done).tolist() == [False]
+    uncertified = dataclasses.replace(done, certified=~done.certified)
+    assert found.well_done(uncertified).tolist() == [False]
 
 
 # --- what is said about it ---
@@ -489,7 +496,7 @@ def test_every_stage_is_shown_as_a_whole():
     after, report = improve(batch, observe=lambda stage, now: seen.append((stage, now)))
     unseen, _ = improve(batch)
     assert torch.equal(unseen.points, after.points)
-    assert [stage for stage, _ in seen][:2] == ["initial", "excerpt"]
+    assert [stage for stage, _ in seen][:2] == ["initial", "submesh"]
     assert_same_rows(seen[0][1], batch)
     assert_same_rows(seen[-1][1], after)
 
@@ -519,7 +526,7 @@ def test_flat_triangles_have_no_finite_mean_and_get_one():
 @pytest.mark.usefixtures("low")
 def test_pasting_what_was_cut_changes_nothing():
     batch = join(assorted())
-    found = excerpts.excerpts(batch)
+    found = cut(batch)
     assert found.cut.tolist() == [False, True, False, False, True, True]
     again = found.paste(found.part)
     assert_same_rows(again, batch)

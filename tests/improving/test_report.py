@@ -21,39 +21,39 @@ def test_the_report_is_json_even_where_qualities_are_infinite():
     assert records[0]["steps"][0]["max"] is None
     assert [r["worked"] for r in records] == report.worked
     assert records[2]["worked"] == "initial"
-    assert records[0]["worked"] == "relax"
+    assert records[0]["worked"] == "average"
     for record in records:
         assert record["tried"] == list(dict.fromkeys(step["stage"] for step in record["steps"][1:]))
 
 
-def test_the_report_counts_moves_flips_and_pockets():
+def test_the_report_counts_moves_flips_and_cavities():
     before = join([meshes.moved_hole(), meshes.moved_hole(12.0), meshes.equilateral()])
     after, report = improve(before)
     for b, (old, new) in enumerate(zip(before.split(), after.split(), strict=True)):
         assert report.moved[b].item() == int((old.points != new.points).any(1).sum())
         assert report.flipped[b].item() == sum(step.flips for step in report.steps[b])
-        assert report.pockets[b].item() == sum(step.pockets for step in report.steps[b])
+        assert report.cavities[b].item() == sum(step.cavities for step in report.steps[b])
     assert report.moved[:2].min() > 0
     assert report.flipped[:2].min() > 0
 
 
-def test_pockets_are_counted_where_nothing_else_helped():
+def test_cavities_are_counted_where_nothing_else_helped():
     # Untangle-beta gets no step and so no chance.
     from torchmesh import UntangleOptions
 
     options = ImproveOptions(untangle=UntangleOptions("beta", max_iterations=1), untangle_rounds=1)
     after, report = improve(meshes.moved_hole(12.0), options)
     assert inverted(after) == 0
-    assert report.worked == ["pockets"]
-    assert report.pockets.item() > 0
-    step = next(step for step in report.steps[0] if step.stage == "pockets")
+    assert report.worked == ["retriangulate"]
+    assert report.cavities.item() > 0
+    step = next(step for step in report.steps[0] if step.stage == "retriangulate")
     assert step.kept
 
 
 def test_a_try_that_brought_nothing_is_marked():
     _, report = improve(meshes.moved_hole(12.0))
     relaxed = report.steps[0][1]
-    assert relaxed.stage == "relax"
+    assert relaxed.stage == "average"
     assert relaxed.kept == (relaxed.inverted < report.steps[0][0].inverted)
 
 

@@ -44,15 +44,16 @@ def on_submeshes(job: Job, options: ImproveOptions) -> Job:
         if found is None:
             return job(state, log)
         log.mark("submesh", state, found.cut, seconds=found.seconds)
-        part = job(State.of(found.part, options), log.view(state.meshes, found.paste, found.step_of_whole))
+        every = torch.arange(len(state), device=state.meshes.device)
+        part = job(State.of(found.part, options), log.view(every, found.paste, found.step_of_whole))
         again = ~found.well_done(part)
         whole = found.paste_state(state, part)
         if not bool(again.any()):
             return whole
         begun = state.select(again)
-        log.mark("whole", state, again, kept=False)
+        log.mark("whole", whole.put(again, begun), again, kept=False)
         view = log.view(again.nonzero().squeeze(1), lambda mesh: put(whole.mesh, again, mesh))
-        note = {b: "; a submesh round the damage was tried in vain" for b in range(len(begun))}
+        note = dict.fromkeys(range(len(begun)), "; a submesh round the damage was tried in vain")
         return whole.put(again, job(begun, view).noted(note))
 
     return on_parts
@@ -260,9 +261,7 @@ def _nearby(x: Tensor, y: Tensor, extent: float, damaged: Tensor, reach: float) 
     return wide.reshape(-1).index_select(0, cell)
 
 
-def _taken(
-    batch: MeshBatch, places: dict[int, tuple[Neighbourhood, float, float]], started: float
-) -> Submeshes:
+def _taken(batch: MeshBatch, places: dict[int, tuple[Neighbourhood, float, float]], started: float) -> Submeshes:
     """The batch with the meshes of `places` replaced by their neighbourhoods."""
     device, vertex, face = batch.points.device, batch.point_offsets.tolist(), batch.triangle_offsets.tolist()
     cut = torch.zeros(len(batch), dtype=torch.bool, device=device)

@@ -96,9 +96,7 @@ class Log:
         step    makes a row about the whole mesh of one about what is worked on, by its number in the view
         """
         observe = self.observe
-        view = Log(
-            0, self.progress, None if observe is None else lambda stage, batch: observe(stage, whole(batch))
-        )
+        view = Log(0, self.progress, None if observe is None else lambda stage, batch: observe(stage, whole(batch)))
         rows = meshes.tolist()
         view.steps = [self.steps[b] for b in rows]
         view._as_whole = lambda i, row: self._as_whole(rows[i], step(i, row))

@@ -123,7 +123,9 @@ def relocate(options: RemeshOptions, keep_sizes: bool) -> Stage:
         work = Relocation(state.mesh, sized(options, state))
         work.improve(torch.ones_like(state.valid))
         mesh, flips = gather(work.batch, work.options)
-        return replace(state.at(mesh), sizes=work.size if keep_sizes else None), Work.done(state, flips=work.flips + flips)
+        return replace(state.at(mesh), sizes=work.size if keep_sizes else None), Work.done(
+            state, flips=work.flips + flips
+        )
 
     return stage
 

@@ -190,6 +190,7 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
     """The regularised functional, from the mesh as given, then from where averaging took it."""
     if bool(state.tangled.any()):
         state, _ = run("regularised", attempt(regularised(UntangleOptions()), _given), state, state.tangled)
+        assert state.averaged is not None
         elsewhere = segment_any((state.averaged != state.given.points).any(1), state.given.point_offsets)
         again = regularised(UntangleOptions(size_sweeps=(100,)))
         state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & elsewhere)
