@@ -20,8 +20,8 @@ import torch
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch
 from ..mesh.neighbourhoods import touching
-from ..optimising.moves import Monitor
 from ..optimising.metric_field import MetricField
+from ..optimising.moves import Monitor
 from ..remeshing.options import RemeshOptions
 from ..remeshing.sizing import size_field
 from ..smoothing import polishing, smoothing
