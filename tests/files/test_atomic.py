@@ -1,5 +1,7 @@
 """Files are replaced whole or not at all."""
 
+import os
+
 import pytest
 
 from torchmesh.errors import MeshIOError
@@ -40,3 +42,35 @@ def test_replacing_leaves_the_old_file_when_the_new_one_fails(tmp_path):
         path.write_text("new")
     assert target.read_text() == "new"
     assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_files_made_beside_the_target_are_moved_with_it(tmp_path):
+    with replacing(tmp_path / "a.txt") as path:
+        path.write_text("one")
+        path.with_name("b.txt").write_text("two")
+        assert not (tmp_path / "b.txt").exists()
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"a.txt": "one", "b.txt": "two"}
+
+
+def test_a_block_that_writes_nothing_is_an_error(tmp_path):
+    with pytest.raises(MeshIOError, match=r"a\.txt: cannot be written"), replacing(tmp_path / "a.txt"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_replaced_file_hands_on_its_permissions(tmp_path):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    target.chmod(0o640)
+    with replacing(target) as path:
+        path.write_text("new")
+    assert target.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_only_regular_files_are_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(MeshIOError, match="is not a regular file"):
+        check_target(tmp_path / "pipe")
+    with pytest.raises(MeshIOError, match="is not a regular file"), replacing(tmp_path / "pipe"):
+        pytest.fail("the block was entered")

@@ -1,4 +1,4 @@
-"""Files of many meshes: every bit comes back, parts alone too; broken files are told by name."""
+"""Files of many meshes: every bit comes back, also of a part that is read alone; errors name broken files."""
 
 import dataclasses
 import os
@@ -191,9 +191,9 @@ def test_a_file_cut_short_is_told(path, part):
 def test_damaged_data_is_told_by_its_checksum(path):
     tm.save_batch(path, everything())
     with h5py.File(path) as file:
-        place = file["points"].id.get_chunk_info(0)
+        chunk = file["points"].id.get_chunk_info(0)
     content = bytearray(path.read_bytes())
-    content[place.byte_offset + place.size // 2] ^= 0xFF
+    content[chunk.byte_offset + chunk.size // 2] ^= 0xFF
     path.write_bytes(bytes(content))
     with pytest.raises(tm.MeshIOError, match=r"meshes\.h5: cannot be read"):
         tm.load_batch(path)

@@ -1,4 +1,4 @@
-"""Meshes in PyVista: the same places, triangles and numbers."""
+"""Meshes in PyVista: the same positions, triangles and numbers."""
 
 import sys
 

@@ -35,7 +35,7 @@ def fields(mesh: MeshBatch, step: int) -> dict:
 
 
 def shared(path: Path, mesh: MeshBatch, **options) -> Path:
-    """One mesh, data in time, as meshio writes it: by reference to a grid of its own."""
+    """A series of one mesh with data that changes, as meshio writes it: steps refer to a grid with the mesh."""
     points = np.pad(mesh.points.numpy(), ((0, 0), (0, 1)))
     with meshio.xdmf.TimeSeriesWriter(path, **options) as writer:
         writer.write_points_cells(points, [("triangle", mesh.triangles.numpy())])
@@ -69,7 +69,7 @@ def document(*grids: str, more: str = "") -> str:
 
 @pytest.fixture
 def motion() -> list[MeshBatch]:
-    """A hole on its way: valid, tangled, and tangled more."""
+    """A hole that moves through its mesh: valid, tangled, and more tangled."""
     return [meshes.moved_hole(distance) for distance in (0.0, 3.0, 5.0)]
 
 
@@ -147,7 +147,7 @@ def test_any_file_is_a_series_of_one_step(tmp_path):
 
 
 def test_what_is_dropped_is_said_once_with_the_real_name(tmp_path, motion):
-    """Cell data does not outlive a flip, in no step."""
+    """Flips change the triangles that cell data belongs to, so that it is dropped from every step."""
     attribute = '<Attribute Name="p" AttributeType="Scalar" Center="Cell"><DataItem DataType="Float" Dimensions="{0}" '
     attribute += 'Format="XML" Precision="8">{1}</DataItem></Attribute></Grid>'
     mesh = motion[2]
@@ -216,7 +216,7 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path, moving, monkeypatch):
 
 
 def test_a_series_is_one_file_of_a_run(tmp_path, moving, motion, inline):
-    """Its meshes travel in the batch; the result is of all of them."""
+    """All meshes of a series are in the batch, and the result of the file sums them up."""
     (tmp_path / "in").mkdir()
     moving.rename(tmp_path / "in" / "moving.xdmf")
     write(tmp_path / "in" / "other.vtu", meshes.jittered())
@@ -248,7 +248,7 @@ def test_the_step_that_stays_tangled_is_named(tmp_path, motion):
 
 @pytest.mark.parametrize("boundary", ["fixed", "slide"])
 def test_what_a_file_holds_does_not_slide_in_a_batch(tmp_path, boundary):
-    """A quad's vertices stay, whatever else is in the batch."""
+    """The vertices of a quad stay in place, whatever else is in the batch."""
     from torchmesh import held
 
     points, triangles = meshes.grid_arrays(6, 6)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import torch
 
-from ..files.mesh_files import Source, held
+from ..files.mesh_files import held
+from ..files.source import Source
 from ..files.time_series import Series, write_series
 from ..improving.options import ImproveOptions
 from ..improving.pipeline import improve

@@ -12,7 +12,7 @@ from .errors import UsageError
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..files.mesh_files import Source
+    from ..files.source import Source
     from ..mesh.batch import MeshBatch
 
 # A box is this part of the mesh's extent larger than given, because coordinates in files are rounded.

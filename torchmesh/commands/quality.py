@@ -14,7 +14,7 @@ from .errors import UsageError
 from .shared_options import use_threads
 
 if TYPE_CHECKING:
-    from ..files.mesh_files import Source
+    from ..files.source import Source
     from ..mesh.batch import MeshBatch
     from ..mesh.measure import Quality
     from ..remeshing.sizing import Sizes
@@ -61,7 +61,7 @@ def quality(
     file is inverted (an area of zero included).
     """
     from ..errors import MeshError
-    from ..files.mesh_files import Source
+    from ..files.source import Source
 
     names = _metric_names(metrics)
     use_threads(1)

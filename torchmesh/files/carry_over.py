@@ -1,4 +1,4 @@
-"""The content of a file, put round the triangles of a new mesh."""
+"""Puts the content of a file round the triangles of a new mesh."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ class _Block(NamedTuple):
 
 
 def carried(mesh: MeshBatch, old: Correspondence) -> tuple[meshio.Mesh, list[str]]:
-    """What to write: the file's mesh with the new triangles; and names for what has no place in it any more."""
+    """The file's mesh with the new triangles, to be written; and names for what has to be left out of it."""
     file, dropped = old.source.content.mesh, []
     names = [name for name in file.cell_data if not old.changed or _survives(old, name)]
     dropped += [f"cell data {name!r}" for name in file.cell_data if name not in names]

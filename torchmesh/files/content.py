@@ -1,4 +1,4 @@
-"""What a mesh file holds besides its triangles, and what of it binds them: regions, lines, quads."""
+"""The content of a mesh file, and what of it binds the triangles: regions, lines, quads."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ class Content:
     rows         (R, 3) triangle rows of all blocks, in file order
     first        (T,) the first row of each triangle; some files list a triangle once for each of its groups
     triangle     (R,) the triangle of each row
-    region       (T,) a number for each triangle; triangles between which no edge is kept for their sake agree in it
+    region       (T,) the number of the region that each triangle is in
     constrained  (K, 2) edges that no flip may remove
     pinned       (V,) bool, vertices of cells that must not change shape
     elsewhere    (V,) bool, vertices of any cells that are not triangles

@@ -1,9 +1,9 @@
-"""Which vertex, region and row of a file each vertex and triangle of a new mesh stands for.
+"""Finds the vertices and regions of a file again in the mesh that takes its place.
 
 What is on the left is found again on the right:
 
     file        mesh that takes its place
-    vertex   -> vertex            the same row, or the same coordinates, or by the vertex map
+    vertex   -> vertex            by the same row, the same coordinates, or the vertex map
     region   -> triangles         that lie between the same boundary and constrained edges
     row      -> row               as long as the counts and the regions are the same
 """

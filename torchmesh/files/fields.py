@@ -1,4 +1,4 @@
-"""What the data of a file means: which cell data tells the regions, and which numbers the cells."""
+"""Decides what the data of a file means: which cell data tells the regions, and which numbers the cells."""
 
 import meshio
 import numpy as np

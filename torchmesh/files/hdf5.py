@@ -1,9 +1,9 @@
 """Thousands of meshes in one compressed file.
 
-HDF5, because it does all of this with a library that is a dependency anyway: chunks are compressed
-(shuffle and gzip) and carry checksums, a part can be read without the rest, a file can be
-written batch after batch, and other languages read it.  npz unpacks whole arrays to get at one
-mesh, safetensors does not compress, Zarr is a folder of many files and another dependency.
+HDF5 was chosen because it does all of the following with a library that is a dependency anyway: chunks are
+compressed (shuffle and gzip) and carry checksums, a part can be read without the rest, a file can be written batch
+after batch, and other languages read it.  npz unpacks whole arrays to get at one mesh, safetensors does not compress,
+and Zarr is a folder of many files and another dependency.
 
     /               attributes: format, version
     points          (V, 2) float64 or float32        fixed              (V,) bool
@@ -11,7 +11,7 @@ mesh, safetensors does not compress, Zarr is a folder of many files and another 
     *_offsets       (B+1,) int64: points, triangles, constrained_edges     frames  (B, 3, 3)
     point_fields/*  (V, ...)                         mesh_fields/*      (B, ...)
 
-Vertices are counted from each mesh's own first, so that a mesh can be read alone.
+The triangles and constrained edges of a mesh count its vertices from 0, so that a mesh can be read alone.
 """
 
 import contextlib
@@ -33,17 +33,13 @@ from .atomic import replacing
 
 _FORMAT, _VERSION = "torchmesh meshes", 1
 
-
-# Rows of a compressed chunk: some hundred kilobytes, a few meshes of usual size.
+# Rows in a compressed chunk.  A chunk then has some hundred kilobytes, or a few meshes of the usual size.
 _CHUNK_ROWS = 8192
-
 
 _TABLES = ("points", "triangles", "constrained_edges")
 
-
-# Which meshes: all, one by its number, a slice, or numbers in any order.
+# Which meshes of a file: all (None), one by its number, a slice, or numbers in any order.
 Meshes = int | slice | Sequence[int] | None
-
 
 Fields = Mapping[str, Tensor | Sequence[str]]
 
@@ -55,37 +51,40 @@ def save_batch(
     point_fields: Mapping[str, Tensor] | None = None,
     mesh_fields: Fields | None = None,
 ) -> None:
-    """Write all meshes of `batch` to one file, losslessly; the file appears whole or not at all.
+    """Writes all meshes of `batch` to one file without loss.  The file appears whole or not at all.
 
-    point_fields  tensors (V, ...) to go with the points, by name
-    mesh_fields   tensors (B, ...), or B strings, to go with the meshes, by name
+    point_fields  tensors (V, ...) that belong to the points, by name
+    mesh_fields   tensors (B, ...), or B strings, that belong to the meshes, by name
 
-    Raises MeshIOError, naming the file, when it cannot be written; InvalidMeshError for a field of another length.
+    Raises MeshIOError, naming the file, if it cannot be written, and InvalidMeshError for a field of another length.
     """
     with BatchWriter(path) as writer:
         writer.append(batch, point_fields=point_fields, mesh_fields=mesh_fields)
 
 
 def load_batch(path: str | os.PathLike[str], meshes: Meshes = None) -> MeshBatch:
-    """The meshes of a file by `save_batch`, on the CPU, bit for bit as they were saved.
+    """The meshes of a file that `save_batch` wrote, on the CPU, bit for bit as they were saved.
 
-    meshes  which of them: a number from 0 (negative from the end), a slice, numbers in any order, or None: all
+    meshes  which of them: a number from 0 (negative from the end), a slice, numbers in any order; None means all
 
-    Raises MeshIOError, naming the file, if it is none of ours, cut short or damaged; IndexError for a
-    number that is not there.
+    Raises MeshIOError, naming the file, if `save_batch` did not write it, or if it is cut short or damaged;
+    IndexError for a number that is not there.
     """
     with BatchFile(path) as file:
         return file.read(meshes)
 
 
 def load_fields(path: str | os.PathLike[str], meshes: Meshes = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The point fields (V, ...) and mesh fields (B, ...) of a file by `save_batch`; the rest as `load_batch`."""
+    """The point fields (V, ...) and mesh fields (B, ...) of a file that `save_batch` wrote.
+
+    `meshes` and errors are those of `load_batch`.
+    """
     with BatchFile(path) as file:
         return file.read_fields(meshes)
 
 
 class BatchWriter:
-    """Writes a file of meshes batch by batch; it takes the place of `path` when the block ends well.
+    """Writes a file of meshes batch by batch.  It takes the place of `path` when the block ends well.
 
     with tm.BatchWriter("meshes.h5") as writer:
         writer.append(batch)
@@ -124,46 +123,27 @@ class BatchWriter:
         point_fields: Mapping[str, Tensor] | None = None,
         mesh_fields: Fields | None = None,
     ) -> None:
-        """Add the meshes of `batch` behind those written so far, all of one dtype and with fields of the same names."""
-        fields: list[tuple[str, Tensor | Sequence[str], int]] = []
-        fields += [(f"point_fields/{k}", v, len(batch.points)) for k, v in (point_fields or {}).items()]
-        fields += [(f"mesh_fields/{k}", v, len(batch)) for k, v in (mesh_fields or {}).items()]
-        for name, values, count in fields:
-            if "/" in name.split("/", 1)[1] or not name.split("/", 1)[1]:
-                raise InvalidMeshError(f"{name}: a field's name is not empty and has no slash")
-            if len(values) != count:
-                raise InvalidMeshError(f"{name} must have {count} rows, not {len(values)}")
-        if self.meshes and {name for name, _, _ in fields} != self._fields:
+        """Adds the meshes of `batch` after those written so far.
+
+        All batches have one dtype and fields of the same names.  Raises InvalidMeshError and MeshIOError as
+        `save_batch` does.
+        """
+        fields = _checked_fields(batch, point_fields or {}, mesh_fields or {})
+        if self.meshes and set(fields) != self._fields:
             raise InvalidMeshError(f"{self.path}: every batch must have the fields {sorted(self._fields)}")
-        self._fields = {name for name, _, _ in fields}
-        owner = batch._constraint_owner()
-        tables = {
-            "points": batch.points,
-            "fixed": batch.fixed,
-            "triangles": batch.triangles - spread(batch.point_offsets[:-1], batch.triangle_offsets)[:, None],
-            "constrained_edges": batch.constrained_edges - batch.point_offsets[owner][:, None],
-            "frames": batch.frames,
-        }
-        offsets = {
-            "points": batch.point_offsets,
-            "triangles": batch.triangle_offsets,
-            "constrained_edges": offsets_from_counts(torch.bincount(owner, minlength=len(batch))),
-        }
-        # Constrained edges are stored mesh by mesh, whatever their order was.
-        order = torch.argsort(owner, stable=True)
-        tables["constrained_edges"] = tables["constrained_edges"][order]
+        self._fields = set(fields)
+        tables, offsets = _tables_of(batch)
         with _as_our_errors(self.path, "cannot be written"):
             for name, ends in offsets.items():
                 dataset = self._file.get(f"{name}_offsets")
                 last = 0 if dataset is None else int(dataset[-1])
                 self._add(f"{name}_offsets", ends[0 if dataset is None else 1 :] + last)
-            for name, values in tables.items():
-                self._add(name, values)
-            for name, values, _ in fields:
+            for name, values in (tables | fields).items():
                 self._add(name, values)
         self.meshes += len(batch)
 
     def _add(self, name: str, values: Tensor | Sequence[str]) -> None:
+        """Appends rows to a dataset, which is made with the first ones."""
         import h5py
 
         if isinstance(values, Tensor):
@@ -194,8 +174,44 @@ class BatchWriter:
         dataset[start:] = rows
 
 
+def _checked_fields(
+    batch: MeshBatch, point_fields: Mapping[str, Tensor], mesh_fields: Fields
+) -> dict[str, Tensor | Sequence[str]]:
+    """The fields by the names of their datasets.  Raises InvalidMeshError for a bad name or number of rows."""
+    fields: dict[str, Tensor | Sequence[str]] = {}
+    groups = (("point_fields", point_fields, len(batch.points)), ("mesh_fields", mesh_fields, len(batch)))
+    for group, given, count in groups:
+        for name, values in given.items():
+            if "/" in name or not name:
+                raise InvalidMeshError(f"{group}/{name}: a field's name is not empty and has no slash")
+            if len(values) != count:
+                raise InvalidMeshError(f"{group}/{name} must have {count} rows, not {len(values)}")
+            fields[f"{group}/{name}"] = values
+    return fields
+
+
+def _tables_of(batch: MeshBatch) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """The tables of a batch as they are stored, and the offsets (B+1,) of those that have any."""
+    owner = batch._constraint_owner()
+    edges = batch.constrained_edges - batch.point_offsets[owner][:, None]
+    tables = {
+        "points": batch.points,
+        "fixed": batch.fixed,
+        "triangles": batch.triangles - spread(batch.point_offsets[:-1], batch.triangle_offsets)[:, None],
+        # Constrained edges are stored mesh by mesh, whatever their order was.
+        "constrained_edges": edges[torch.argsort(owner, stable=True)],
+        "frames": batch.frames,
+    }
+    offsets = {
+        "points": batch.point_offsets,
+        "triangles": batch.triangle_offsets,
+        "constrained_edges": offsets_from_counts(torch.bincount(owner, minlength=len(batch))),
+    }
+    return tables, offsets
+
+
 class BatchFile:
-    """A file by `save_batch`, open for reading parts of it.
+    """A file that `save_batch` wrote, open for reading parts of it.
 
     with tm.BatchFile("meshes.h5") as file:
         print(len(file)); mesh = file.read(7)
@@ -223,7 +239,7 @@ class BatchFile:
             raise MeshIOError(f"{path}: damaged, 'fixed' and 'points' differ in length")
 
     def _ends(self, name: str) -> np.ndarray:
-        """(B+1,) where each mesh's rows of a table begin and end."""
+        """(B+1,) the row of a table at which each mesh begins, and the end."""
         ends = self._file[f"{name}_offsets"][:].astype(np.int64)
         if not len(ends) or ends[0] != 0 or (np.diff(ends) < 0).any() or ends[-1] != len(self._file[name]):
             raise MeshIOError(f"{self.path}: damaged, {name}_offsets do not fit {name}")
@@ -234,7 +250,7 @@ class BatchFile:
 
     @property
     def point_fields(self) -> list[str]:
-        """The names of the fields that go with the points."""
+        """The names of the fields that belong to the points."""
         return list(self._file.get("point_fields", ()))
 
     def __enter__(self) -> "BatchFile":
@@ -244,7 +260,7 @@ class BatchFile:
         self.close()
 
     def close(self) -> None:
-        """Close the file; what was read stays."""
+        """Closes the file.  What was read stays."""
         self._file.close()
 
     def read(self, meshes: Meshes = None) -> MeshBatch:
@@ -282,7 +298,7 @@ class BatchFile:
         return out
 
     def _rows(self, meshes: Meshes) -> np.ndarray:
-        """(B',) the numbers of the meshes asked for."""
+        """(B',) the numbers of the meshes that are asked for."""
         everything = np.arange(len(self))
         if meshes is None:
             return everything
@@ -297,10 +313,14 @@ class BatchFile:
         return wanted.astype(np.int64) % max(1, len(self))
 
     def _counted(self, name: str, rows: np.ndarray) -> Tensor:
+        """(B'+1,) the offsets of a table that has the meshes `rows` only."""
         return offsets_from_counts(torch.from_numpy(np.diff(self._offsets[name])[rows]))
 
     def _gather(self, name: str, table: str | None, rows: np.ndarray) -> Any:
-        """The rows of a dataset that belong to the meshes `rows`, runs of neighbours read at once."""
+        """The rows of a dataset that belong to the meshes `rows`.  Neighbours are read at once.
+
+        table  whose offsets the dataset has; None: it has a row for each mesh
+        """
         dataset = self._file[name]
         ends = np.arange(len(self) + 1) if table is None else self._offsets[table]
         breaks = np.flatnonzero(np.diff(rows) != 1) + 1
@@ -313,7 +333,7 @@ class BatchFile:
 
 @contextlib.contextmanager
 def _as_our_errors(path: Path, what: str) -> Iterator[None]:
-    """What h5py raises for missing, foreign, short and damaged files, as a MeshIOError that names the file."""
+    """Turns what h5py raises for missing, foreign, short and damaged files into a MeshIOError that names the file."""
     try:
         yield
     except (MeshIOError, InvalidMeshError):

@@ -1,4 +1,4 @@
-"""What is said about a file: warnings at the line of the caller, and the errors of libraries as errors of ours."""
+"""Warnings that point to the line of the caller, and errors of other libraries as errors of torchmesh."""
 
 import contextlib
 import io

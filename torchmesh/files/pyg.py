@@ -1,4 +1,7 @@
-"""To PyTorch Geometric and back (Fey & Lenssen, Fast graph representation learning with PyTorch Geometric, 2019)."""
+"""Meshes as graphs of PyTorch Geometric, and back.
+
+Source: Fey & Lenssen, Fast graph representation learning with PyTorch Geometric, 2019.
+"""
 
 import warnings
 from typing import Any
@@ -12,7 +15,7 @@ from ..mesh.connectivity import edges
 
 
 def to_pyg(batch: MeshBatch) -> Any:
-    """A `torch_geometric.data.Batch` of the meshes, one graph each, on the device of `batch`.
+    """A `torch_geometric.data.Batch` with one graph for each mesh, on the device of `batch`.
 
     Each graph (`.to_data_list()`) has
 
@@ -23,7 +26,7 @@ def to_pyg(batch: MeshBatch) -> Any:
     constrained_edge_index  (2, K) int64, each constrained edge once, as given
     frame                   (1, 3, 3) float64, the mesh's plane in space
 
-    Needs torch_geometric; raises MissingDependencyError without it.
+    Raises MissingDependencyError without torch_geometric.
     """
     data, batched = _torch_geometric()
     graphs = []
@@ -45,10 +48,11 @@ def to_pyg(batch: MeshBatch) -> Any:
 def from_pyg(graphs: Any) -> MeshBatch:
     """The meshes of a `torch_geometric` Data or Batch with `pos` (V, 2 or 3) and `face` (3, T).
 
-    `fixed`, `constrained_edge_index` and `frame` are used if they are there.  With them the graphs of
-    `to_pyg` come back bit for bit, whatever was done to `pos`, inverted triangles included; without
-    `frame` each graph goes through `MeshBatch.from_arrays`, which checks and orients it.  Raises
-    InvalidMeshError, naming the graph, for anything that is no mesh.
+    `fixed`, `constrained_edge_index` and `frame` are used if they are there.  A graph that has `fixed` and `frame`, as
+    those of `to_pyg` do, comes back bit for bit, whatever was done to `pos`, even with inverted triangles.  Any other
+    graph goes through `MeshBatch.from_arrays`, which checks and orients it.
+
+    Raises InvalidMeshError, naming the graph, for anything that is no mesh.
     """
     data, batched = _torch_geometric()
     if not isinstance(graphs, data):
@@ -75,7 +79,7 @@ def _mesh_of(graph: Any, number: int) -> MeshBatch:
             return MeshBatch.from_arrays(pos, face.T, fixed=fixed, constrained_edges=edge)
         except InvalidMeshError as error:
             raise InvalidMeshError(f"graph {number}: {error}") from None
-    # Ours: what from_arrays would check and repair is as it was, except that positions may be anything.
+    # The graph is one of `to_pyg`.  What from_arrays would check and repair is right, and positions may be anything.
     triangles, count = face.T.contiguous(), len(pos)
     for name, rows in (("face", triangles), ("constrained_edge_index", edge)):
         if bool(((rows < 0) | (rows >= count)).any()):
@@ -90,7 +94,7 @@ def _mesh_of(graph: Any, number: int) -> MeshBatch:
 def _torch_geometric() -> tuple[Any, Any]:
     try:
         with warnings.catch_warnings():
-            # Its modules call torch.jit.script, which torch says is deprecated.
+            # Modules of torch_geometric call torch.jit.script, which is deprecated.
             warnings.simplefilter("ignore", DeprecationWarning)
             from torch_geometric.data import Batch, Data
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Meshes for PyVista: `to_pyvista`, an extra of its own."""
+"""Meshes for PyVista (an extra of the package)."""
 
 from typing import Any
 
@@ -11,9 +11,9 @@ from ..mesh.measure import quality, signed_minimum_angles
 
 
 def to_pyvista(batch: MeshBatch) -> Any:
-    """The batch as one `pyvista.PolyData`, in space, with its quality as cell data; needs the extra `pyvista`.
+    """The batch as one `pyvista.PolyData` in space, with quality measures as cell data; needs the extra `pyvista`.
 
-    Points keep their order and dtype and stand in the plane of space that each mesh was given in.
+    Points keep their order and dtype and lie in the plane of space that each mesh was given in.
 
     cell data   area (T,) signed, in the unit of length squared; inverse_mean_ratio (T,), 1 for an equilateral
                 triangle, infinite for a flat one; minimum_angle (T,) degrees, negative where the triangle is

@@ -1,0 +1,41 @@
+"""The table of formats: every extension leads to its format, and contents tell formats of one extension apart."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from torchmesh import MeshIOError
+from torchmesh.files.formats import registry
+from torchmesh.files.formats.meshio_formats import MeshioFormat
+from torchmesh.files.formats.registry import FORMATS, format_in, format_of, known_extensions
+
+
+def test_every_extension_leads_to_its_format():
+    assert len(known_extensions()) == sum(len(form.extensions) for form in FORMATS.values())  # none is shared today
+    for form in FORMATS.values():
+        for extension in form.extensions:
+            assert format_of(Path(f"a{extension.upper()}")) is form
+
+
+def test_an_unknown_extension_is_told_with_the_known_ones():
+    with pytest.raises(MeshIOError, match=r"a\.xyz: the extension '\.xyz' is not known; known ones are .*\.xml$"):
+        format_of(Path("a.xyz"))
+
+
+@dataclass(frozen=True)
+class Marked(MeshioFormat):
+    """A format whose files begin with a mark."""
+
+    def recognises(self, head: bytes) -> bool:
+        return head.startswith(b"MARK")
+
+
+@pytest.mark.parametrize(("text", "found"), [("MARK and more", "marked"), ("something else", "off")])
+def test_contents_tell_formats_of_one_extension_apart(tmp_path, monkeypatch, text, found):
+    marked = Marked("marked", (".off",))
+    off = replace(FORMATS["off"])
+    monkeypatch.setattr(registry, "FORMATS", {"marked": marked, "off": off})
+    (tmp_path / "a.off").write_text(text)
+    assert format_in(tmp_path / "a.off").name == found
+    assert format_of(tmp_path / "new.off") is marked  # a new file is written in the first one
