@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from torchmesh.batches.batches import improve_jobs
+from torchmesh.batches.batches import Job, improve_jobs
+from torchmesh.batches.runs import Run
 
 TRAPS = """
 import builtins, os, time
@@ -29,6 +30,8 @@ def trapped(file, *arguments, **options):
     return opened(file, *arguments, **options)
 builtins.open = trapped
 """
+# The files of the fixtures `originals` and `inputs`.
+NAMES = ["a/x.vtu", "a/y.msh", "b/c/x.vtu", "b/c/y.msh", "b/x.vtu", "b/y.msh"]
 POSIX = pytest.mark.skipif(os.name == "nt", reason="SIGKILL and the like")
 
 
@@ -47,6 +50,16 @@ class Inline:
     close = stop
 
 
+def job(folder: Path, name: str) -> Job:
+    """Improve a file of the folder, into its folder "out"."""
+    return Job(name, str(folder / name), str(folder / "out" / name), str(folder / "out" / ".staging"))
+
+
+def jobs_named(count: int, size: int = 1000, kind: str = "good") -> list[Job]:
+    """Jobs whose files do not exist."""
+    return [Job(f"{kind}{n}", f"in/{kind}{n}.vtu", f"out/{kind}{n}.vtu", "out/.staging", size) for n in range(count)]
+
+
 def contents(out: Path) -> dict[str, tuple[bytes, int]]:
     """Every mesh file written, with its time of change."""
     return {
@@ -54,3 +67,8 @@ def contents(out: Path) -> dict[str, tuple[bytes, int]]:
         for p in out.rglob("*")
         if p.is_file() and not p.name.startswith("manifest.")
     }
+
+
+def result_names(*arguments, **options) -> list[str]:
+    """What a run would do, in order."""
+    return sorted(job.name for job in Run.plan(*arguments, **options).jobs)

@@ -1,24 +1,19 @@
 """Files through one process: packed by vertices, each result its own, whatever is wrong with another."""
 
 import itertools
-import json
-import math
-import sys
 import warnings
 from pathlib import Path
 
-import fields
 import meshes
 import meshio
 import numpy as np
 import pytest
 import torch
+from file_runs import job
 
 from torchmesh import ImproveOptions, MeshBatch, improve, read, write
-from torchmesh.batches import file_improvement, manifest
+from torchmesh.batches import file_improvement
 from torchmesh.batches.batches import Job, fingerprint, improve_jobs
-from torchmesh.batches.manifest import FileResult
-from torchmesh.errors import MissingDependencyError
 
 
 @pytest.fixture
@@ -29,10 +24,6 @@ def jobs(tmp_path) -> list[Job]:
         write(tmp_path / name, mesh)
         made.append(job(tmp_path, name))
     return made
-
-
-def job(folder: Path, name: str) -> Job:
-    return Job(name, str(folder / name), str(folder / "out" / name), str(folder / "out" / ".staging"))
 
 
 def test_results_are_those_of_improve(jobs):
@@ -155,28 +146,6 @@ def test_warnings_are_kept_with_the_real_names(tmp_path):
     assert text == f"{result.output}: not carried over from {tmp_path / 'loaded.vtu'}: cell data 'pressure'"
 
 
-def test_point_data_survives_added_and_removed_vertices(tmp_path):
-    """With topology "full" new vertices take their values from the old ones, as `write` with a vertex map does."""
-    before = fields.write_coarse(tmp_path / "coarse.vtu")
-    (result,) = improve_jobs([job(tmp_path, "coarse.vtu")], ImproveOptions(topology="full"), 1000)
-    assert (result.valid, result.warnings) == (True, [])
-    fields.assert_carried(before, meshio.read(result.output))
-
-
-def test_point_data_of_a_series_survives_added_and_removed_vertices(tmp_path):
-    """Each mesh of the file has a part of the batch's vertex map of its own, and so has each file of the batch."""
-    before = [fields.coarse(), fields.coarse(3)]
-    fields.write_steps(tmp_path / "steps.xdmf", before)
-    fields.write_coarse(tmp_path / "first.vtu")
-    jobs = [job(tmp_path, "first.vtu"), job(tmp_path, "steps.xdmf")]
-    _, result = improve_jobs(jobs, ImproveOptions(topology="full"), 10**6)
-    assert (result.valid, result.warnings, result.steps) == (True, [], 2)
-    after = fields.read_steps(Path(result.output))
-    assert len(after) == 2
-    for one, other in zip(before, after, strict=True):
-        fields.assert_carried(one, other)
-
-
 def test_a_fingerprint_follows_the_content(tmp_path):
     (tmp_path / "a").write_bytes(b"one")
     (tmp_path / "b").write_bytes(b"one")
@@ -184,69 +153,3 @@ def test_a_fingerprint_follows_the_content(tmp_path):
     digests = [fingerprint(tmp_path / name)["digest"] for name in "abc"]
     assert digests[0] == digests[1] != digests[2]
     assert fingerprint(tmp_path / "a")["bytes"] == 3
-
-
-# --- the manifest ------------------------------------------------------------------------------------
-
-GOOD = FileResult("a/x.vtu", "in/a/x.vtu", "out/a/x.vtu", "settled", True, imr_maximum_before=math.inf, warnings=["w"])
-BAD = FileResult("b/ü.vtu", "in/b/ü.vtu", error='it says "no"\n')
-
-
-def test_a_record_comes_back(tmp_path):
-    with manifest.Journal(tmp_path) as journal:
-        journal.add(GOOD)
-        journal.add(BAD)
-    lines = (tmp_path / manifest.LINES).read_text().splitlines()
-    assert [json.loads(line)["name"] for line in lines] == ["a/x.vtu", "b/ü.vtu"]
-    assert json.loads(lines[0])["imr_maximum_before"] is None
-    loaded = manifest.load(tmp_path)
-    assert loaded["b/ü.vtu"].error == BAD.error
-    assert loaded["a/x.vtu"].resumed
-    assert loaded["a/x.vtu"].record() == GOOD.record()
-
-
-@pytest.mark.parametrize("cut", [1, 20, 200])
-def test_a_torn_last_line_is_passed_over_and_the_next_begins_anew(tmp_path, cut):
-    with manifest.Journal(tmp_path) as journal:
-        journal.add(GOOD)
-        journal.add(BAD)
-    path = tmp_path / manifest.LINES
-    path.write_bytes(path.read_bytes()[:-cut])
-    assert set(manifest.load(tmp_path)) == ({"a/x.vtu", "b/ü.vtu"} if cut == 1 else {"a/x.vtu"})
-    with manifest.Journal(tmp_path) as journal:
-        journal.add(BAD)
-    assert set(manifest.load(tmp_path)) == {"a/x.vtu", "b/ü.vtu"}
-    manifest.tidy(tmp_path)
-    assert len(path.read_text().splitlines()) == 2
-
-
-def test_the_last_line_for_a_mesh_counts(tmp_path):
-    with manifest.Journal(tmp_path) as journal:
-        journal.add(BAD)
-        journal.add(FileResult(BAD.name, BAD.file, status="settled", valid=True))
-    assert manifest.load(tmp_path)[BAD.name].valid
-    manifest.tidy(tmp_path)
-    assert len((tmp_path / manifest.LINES).read_text().splitlines()) == 1
-    assert manifest.load(tmp_path)[BAD.name].valid
-
-
-def test_foreign_lines_and_columns_do_no_harm(tmp_path):
-    record = json.dumps(GOOD.record() | {"colour": "red"})
-    (tmp_path / manifest.LINES).write_text(f'[1, 2]\n\n{{"file": 3}}\n"text"\n{record}\n')
-    assert set(manifest.load(tmp_path)) == {"a/x.vtu"}
-
-
-def test_the_table_holds_the_same(tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    with manifest.Journal(tmp_path) as journal:
-        journal.add(GOOD)
-        journal.add(BAD)
-    rows = parquet.read_table(manifest.write_table(tmp_path)).to_pylist()
-    assert rows == [GOOD.record(), BAD.record()]
-
-
-def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingDependencyError, match=r"torchmesh-untangle\[parquet\]"):
-        manifest.write_table(tmp_path)
-    assert list(tmp_path.iterdir()) == []

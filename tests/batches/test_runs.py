@@ -1,7 +1,6 @@
 """Folders of files: kept apart, resumed after every kind of end, and never half-written.
 
-A `sitecustomize` module on PYTHONPATH, which every Python process runs at its start, lays traps: the
-name of a file says what befalls the process that opens it.
+Traps are laid by a `sitecustomize` module on PYTHONPATH (`file_runs.TRAPS`).
 """
 
 import contextlib
@@ -21,7 +20,7 @@ import numpy as np
 import pytest
 import torch
 from children import started
-from file_runs import POSIX, TRAPS, contents
+from file_runs import NAMES, POSIX, TRAPS, contents, result_names
 
 from torchmesh import ImproveOptions, improve, improve_files, read, write
 from torchmesh.batches import manifest
@@ -39,32 +38,8 @@ def traps(tmp_path, monkeypatch) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def originals(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("originals")
-    for n, part in enumerate(("a", "b", "b/c")):
-        (folder / part).mkdir(parents=True, exist_ok=True)
-        write(folder / part / "x.vtu", meshes.jittered(seed=n))
-        write(folder / part / "y.msh", meshes.jittered(6, 5, seed=n))
-    return folder
-
-
-@pytest.fixture
-def inputs(originals, tmp_path) -> Path:
-    shutil.copytree(originals, tmp_path / "in")
-    return tmp_path / "in"
-
-
-NAMES = ["a/x.vtu", "a/y.msh", "b/c/x.vtu", "b/c/y.msh", "b/x.vtu", "b/y.msh"]
-
-
 def lines(out: Path) -> list[dict]:
     return [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
-
-
-def result_names(*arguments, **options) -> list[str]:
-    """What a run would do, in order."""
-    return sorted(job.name for job in Run.plan(*arguments, **options).jobs)
 
 
 # --- the whole of it ---------------------------------------------------------------------------------
@@ -114,65 +89,7 @@ def test_results_depend_on_neither_batches_nor_workers(done, originals, tmp_path
     }
 
 
-# --- which files, and where to ------------------------------------------------------------------------
-
-
-def test_paths_and_patterns(inputs, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    assert result_names(inputs, out) == NAMES
-    assert result_names(f"{inputs}/**/*.vtu", out) == ["a/x.vtu", "b/c/x.vtu", "b/x.vtu"]
-    assert result_names([f"{inputs}/a/*", inputs / "b" / "x.vtu"], out) == ["a/x.vtu", "a/y.msh", "b/x.vtu"]
-    assert result_names([inputs / "a", inputs / "a" / "x.vtu"], out) == ["x.vtu", "y.msh"]
-    assert result_names(inputs / "a" / "x.vtu", out) == ["x.vtu"]
-    monkeypatch.chdir(inputs / "b")
-    assert result_names("*.msh", out) == ["y.msh"]
-    assert result_names(["c/x.vtu", "x.vtu"], out) == ["c/x.vtu", "x.vtu"]
-    assert result_names("../**/y.msh", out) == ["a/y.msh", "b/c/y.msh", "b/y.msh"]
-
-
-def test_results_inside_the_folder_of_inputs_are_no_inputs(inputs):
-    out = inputs / "out"
-    shutil.copytree(inputs / "a", out / "a")
-    assert result_names(inputs, out) == NAMES
-
-
-def test_another_extension(inputs, tmp_path):
-    assert [job.output for job in Run.plan(inputs / "a" / "y.msh", tmp_path, suffix="vtk").jobs] == [
-        str(tmp_path / "y.vtk")
-    ]
-
-
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"paths": "nothing/*.vtu"}, r"nothing/\*\.vtu: there is no such file"),
-        ({"paths": []}, "no files were given"),
-        ({"paths": ["a/x.vtu", "missing.vtu"]}, "missing.vtu: there is no such file"),
-        ({"paths": "a", "out": "a"}, "would be overwritten by its own result"),
-        ({"paths": "a/x.vtu", "out": "a"}, "would be overwritten by its own result"),
-        ({"paths": "**/x.vtu", "out": "."}, "would be overwritten by its own result"),
-        ({"paths": "a", "suffix": ".vtu", "extra": "x.msh"}, r"a/x\.msh and a/x\.vtu would both be written"),
-        ({"paths": "a", "suffix": ".abc"}, r"'\.abc' is not known"),
-        ({"paths": "a", "out": "a/x.vtu"}, "is not a folder"),
-        ({"paths": "a", "engine": "cloud"}, "engine must be 'local' or 'ray', not 'cloud'"),
-        ({"paths": "a", "workers": 0}, "workers must be at least 1, not 0"),
-        ({"paths": "a", "budget": -3}, "budget must be at least 1, not -3"),
-    ],
-)
-def test_mistakes_are_said_before_the_work(inputs, monkeypatch, change, text):
-    monkeypatch.chdir(inputs)
-    if name := change.pop("extra", None):
-        shutil.copy("a/x.vtu", f"a/{name}")
-    with pytest.raises((MeshIOError, ValueError), match=text):
-        improve_files(**({"out": "out"} | change))
-    assert not Path("out").exists()
-
-
-def test_a_result_never_overwrites_an_input(inputs, tmp_path):
-    """Through a link the folder of results is that of the inputs."""
-    (tmp_path / "link").symlink_to(inputs)
-    with pytest.raises(MeshIOError, match="would be overwritten by its own result"):
-        improve_files(inputs, tmp_path / "link")
+# --- refusals ----------------------------------------------------------------------------------------
 
 
 def test_options_that_cannot_travel_are_refused(inputs, tmp_path):

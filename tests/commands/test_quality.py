@@ -24,9 +24,9 @@ def test_quality_tables(folder):
     worst = [line for line in lines if line[-1:] == ["inverted"]]
     assert len(worst) == 10
     area = quality(mesh).area
-    place = mesh.points[mesh.triangles[int(worst[0][0])]].mean(0).tolist()
+    centroid = mesh.points[mesh.triangles[int(worst[0][0])]].mean(0).tolist()
     assert int(worst[0][0]) == int(area.argmin()), "the largest inverted triangle leads"
-    assert [float(x) for x in worst[0][3:5]] == pytest.approx(place, rel=1e-5)
+    assert [float(x) for x in worst[0][3:5]] == pytest.approx(centroid, rel=1e-5)
 
 
 def test_quality_json(call, folder):

@@ -1,4 +1,4 @@
-"""Files by the thousand: workers, a manifest, runs that go on where they were stopped.
+"""Files by the thousand: reading and writing them, workers, a manifest, and runs that resume where they stopped.
 
 Imports from `improving`, `learning` and `files`.
 """

@@ -1,8 +1,8 @@
-"""What became of each mesh of a run over many files: one record a mesh, on disk while the run goes on.
+"""The results of a run over many files: one record for each file, on disk while the run goes on.
 
-`manifest.jsonl` gains a line, in one write, as soon as a mesh is done: a run that is killed has lost
-no more than the last line, and that only in part.  Of several lines for one mesh the last one counts.
-`manifest.parquet` holds the same table and is written when a run ends.
+`manifest.jsonl` gets a line, in one write, as soon as a file is done.  A run that is killed loses no more than a part
+of the last line.  When several lines are about one file, the last one counts.  `manifest.parquet` holds the same table
+and is written when a run ends.
 """
 
 import dataclasses
@@ -23,27 +23,27 @@ LINES, TABLE = "manifest.jsonl", "manifest.parquet"
 
 @dataclass(frozen=True)
 class FileResult:
-    """What became of one file.
+    """The result of one file.
 
-    name        the mesh's path below the folder of results, with / between its parts
+    name        the path of the output below the folder of results, with / between the parts
     file        the input, as it was given
-    output      the mesh file written; None when there is none
+    output      the mesh file that was written; None when none was
     status      a `Status` in lower case, or "error"
-    valid       no triangle is inverted any more
+    valid       whether no triangle is inverted
     error       what went wrong, in one line; None when a mesh was written
     message     why `improve` ended
-    vertices, triangles                      of the input, of all its meshes if it is a time series
-    steps                                    of a time series; 1 otherwise
-    inverted_before, inverted_after          inverted triangles
-    imr_average_before, imr_average_after    inverse mean ratio; None where it is infinite
-    imr_maximum_before, imr_maximum_after    (a triangle without area) or where there is no mesh
-    seconds     wall time: reading, writing, and of the batch's improvement its share by triangles
+    vertices, triangles                      counts of the input, over all meshes of a time series
+    steps                                    the number of steps of a time series; 1 for other files
+    inverted_before, inverted_after          counts of inverted triangles
+    imr_average_before, imr_average_after    inverse mean ratio; None where it is infinite, because a
+    imr_maximum_before, imr_maximum_after    triangle has no area, and where there is no mesh
+    seconds     wall time of reading and writing, and the file's share, by triangles, of its batch's improvement
     warnings    what was dropped or repaired
-    bytes, modified, digest    the input's size, time of change (ns), and BLAKE2b hash in hex
-    output_bytes               size of the file written
-    options     the settings it was made with: see `files.settings`
-    worker      host and process that did the work
-    resumed     the result is one of an earlier run (not in the manifest)
+    bytes, modified, digest    the input's size, time of its last change (ns), and BLAKE2b hash in hex
+    output_bytes               the size of the output
+    options     the settings that it was made with, as `runs.settings` gives them
+    worker      the host and the process that did the work
+    resumed     whether the result is one of an earlier run; this is not in the manifest
     """
 
     name: str
@@ -80,13 +80,16 @@ class FileResult:
 
     @classmethod
     def of(cls, record: dict[str, Any]) -> "FileResult":
-        """From a row of the manifest, `resumed`; columns of other versions are passed over."""
+        """The result that a row of the manifest holds, with `resumed` set; unknown columns are ignored."""
         known = {f.name for f in dataclasses.fields(cls)}
         return cls(**({key: value for key, value in record.items() if key in known} | {"resumed": True}))
 
 
 def load(folder: Path) -> dict[str, FileResult]:
-    """The last result of each mesh by name, from the folder's `manifest.jsonl`; lines cut short are passed over."""
+    """The last result for each name in the folder's `manifest.jsonl`; lines that were cut short are ignored.
+
+    Raises MeshIOError.
+    """
     results: dict[str, FileResult] = {}
     try:
         with open(folder / LINES, encoding="utf-8", errors="replace") as stream:
@@ -104,12 +107,12 @@ def load(folder: Path) -> dict[str, FileResult]:
 
 
 class Journal:
-    """`manifest.jsonl` of a folder, open to take lines."""
+    """`manifest.jsonl` of a folder, open to take lines; its methods raise MeshIOError."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LINES
         try:
-            # Unbuffered: a line is one write, and in the system's hands when `add` returns.
+            # Without a buffer a line is one write, and the system has it when `add` returns.
             self._stream = open(self.path, "ab", buffering=0)  # noqa: SIM115
             if self._stream.tell() and not _ends_with_newline(self.path):
                 self._stream.write(b"\n")
@@ -117,6 +120,7 @@ class Journal:
             raise MeshIOError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 
     def add(self, result: FileResult) -> None:
+        """Appends the record of one result."""
         line = json.dumps(result.record(), allow_nan=False, ensure_ascii=True) + "\n"
         try:
             self._stream.write(line.encode())
@@ -137,7 +141,7 @@ def _ends_with_newline(path: Path) -> bool:
 
 
 def tidy(folder: Path) -> None:
-    """Rewrites `manifest.jsonl` with one line a mesh, in the order of their names, all or nothing."""
+    """Rewrites `manifest.jsonl` with one line for each name, in the order of the names, all or nothing."""
     results = load(folder)
     lines = [json.dumps(results[name].record(), allow_nan=False) + "\n" for name in sorted(results)]
     text = "".join(lines).encode()
@@ -146,7 +150,7 @@ def tidy(folder: Path) -> None:
             path.write_bytes(text)
 
 
-# The columns of the table that are not text: a column of nulls alone has no type to be guessed from.
+# The columns of the table that are not text.  Their types are given, because none can be inferred from nulls alone.
 _WHOLE = ("vertices", "triangles", "steps", "inverted_before", "inverted_after", "bytes", "modified", "output_bytes")
 
 

@@ -1,4 +1,4 @@
-"""The command line, one module a command.
+"""The command line, with a module for each command.
 
 Imports from everything else; nothing imports from here.
 """

@@ -29,18 +29,24 @@ ThreadsOption = Annotated[int, typer.Option(min=1, help="Processor threads to us
 
 
 class Method(str, Enum):
+    """How a mesh is untangled and smoothed."""
+
     default = "default"
     fast = "fast"
     paper = "paper"
 
 
 class Topology(str, Enum):
+    """Whether edges may flip, and vertices come and go."""
+
     flip = "flip"
     keep = "keep"
     full = "full"
 
 
 class Boundary(str, Enum):
+    """Whether boundary vertices may move along their curves."""
+
     fixed = "fixed"
     slide = "slide"
 
