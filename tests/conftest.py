@@ -1,4 +1,6 @@
-"""Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock."""
+"""Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock; which modules are slow."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,6 +8,33 @@ import torch
 from hypothesis import HealthCheck, settings
 
 torch.set_num_threads(1)
+
+# Modules that `make test-fast` leaves out as a whole: they start many processes, run programs, or work on many meshes.
+# Single slow tests of other modules are marked where they stand.
+SLOW = (
+    "batches/test_ray.py",
+    "batches/test_runs.py",
+    "commands/test_reproduce.py",
+    "improving/test_extremes.py",
+    "learning/test_datasets.py",
+    "learning/test_domains.py",
+    "learning/test_nn.py",
+    "pictures/test_films.py",
+    "pictures/test_page_in_browser.py",
+    "pictures/test_pictures.py",
+    "test_docs.py",
+    "test_readme.py",
+)
+FOLDER = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    missing = [name for name in SLOW if not (FOLDER / name).exists()]
+    assert not missing, f"tests/conftest.py: {missing} in SLOW are no modules of tests"
+    for item in items:
+        if item.path.is_relative_to(FOLDER) and item.path.relative_to(FOLDER).as_posix() in SLOW:
+            item.add_marker(pytest.mark.slow)
+
 
 # Deadlines measure the machine, not the code; the same examples every run, so that a failure stays.
 settings.register_profile(

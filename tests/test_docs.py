@@ -81,13 +81,49 @@ def test_the_figure_is_what_the_script_draws(tmp_path):
     assert (tmp_path / "loop.svg").read_text() == (DOCS / "loop.svg").read_text()
 
 
-@pytest.fixture(scope="module")
-def docstrings():
-    pytest.importorskip("griffe")
-    spec = importlib.util.spec_from_file_location("docstrings", DOCS / "docstrings.py")
+def of_docs(name: str):
+    """A script of the folder docs as a module."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_the_page_on_the_architecture_has_the_folders_and_imports_that_the_tests_hold():
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    assert of_docs("architecture").written(text) == text, "run python docs/architecture.py"
+    for folder in (ROOT / "torchmesh").iterdir():
+        if (folder / "__init__.py").exists():
+            assert f"| `{folder.name}` |" in text
+
+
+def test_the_way_of_the_data_names_what_there_is():
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8").split("## The way of the data")[1]
+    named = re.findall(r"^ *(\w+) {3,}(improving/\w+\.py):", text, re.MULTILINE)
+    assert len(named) >= 5
+    for name, path in named:
+        source = (ROOT / "torchmesh" / path).read_text(encoding="utf-8")
+        assert re.search(rf"^(def|class) {name}\b", source, re.MULTILINE), (name, path)
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/architecture.md", "docs/how-it-works.md"])
+def test_every_path_that_a_page_names_exists(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    paths = re.findall(r"\b(?:torchmesh|tests|experiments|docs)/[\w./-]*[\w/]", text)
+    assert len(paths) >= 40 or page != "CONTRIBUTING.md"
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+def test_every_make_target_that_is_named_exists():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"`make ([\w-]+)`", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+@pytest.fixture(scope="module")
+def docstrings():
+    pytest.importorskip("griffe")
+    return of_docs("docstrings")
 
 
 def test_columns_of_a_docstring_become_a_list(docstrings):

@@ -10,8 +10,6 @@ from pictured import embedded, recorded
 
 from torchmesh import MeshBatch, improve, quality, report_page
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def tangled() -> MeshBatch:
