@@ -70,10 +70,7 @@ def generate(
     """
     from ..learning.domains import FAMILIES, pairs
 
-    if suffix is None and target.suffix.lower() not in _SUFFIXES:
-        raise UsageError(f"{target}: the name of a file of meshes ends in .h5; for a folder of files give --format")
-    if suffix is not None and target.suffix.lower() in _SUFFIXES:
-        raise UsageError(f"{target}: with --format the meshes go into a folder, not into an .h5 file")
+    _check_name(target, suffix)
     use_threads(1)
     try:
         some = pairs(
@@ -100,6 +97,14 @@ def generate(
             f"{seconds:.1f} s, {60 * count / seconds:,.0f} a minute"
         )
     return 0
+
+
+def _check_name(target: Path, suffix: str | None) -> None:
+    """Raises UsageError unless the name is that of an HDF5 file, or with a suffix that of a folder."""
+    if suffix is None and target.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{target}: the name of a file of meshes ends in .h5; for a folder of files give --format")
+    if suffix is not None and target.suffix.lower() in _SUFFIXES:
+        raise UsageError(f"{target}: with --format the meshes go into a folder, not into an .h5 file")
 
 
 class _Log:
