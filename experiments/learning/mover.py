@@ -10,7 +10,7 @@ from torch import Tensor, nn
 import torchmesh as tm
 from torchmesh.mesh.batch import vertex_mesh
 from torchmesh.mesh.connectivity import edges
-from torchmesh.mesh.neighbourhoods import vertex_size
+from torchmesh.mesh.means import vertex_size
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import torch
 import torchmesh as tm
 from experiments.shared import arguments, tables
 from experiments.shared.tangles import tangle
-from torchmesh.mesh.neighbourhoods import vertex_size
+from torchmesh.mesh.means import vertex_size
 from torchmesh.mesh.ragged import spread
 from torchmesh.optimising.conjugate_gradients import solve
 from torchmesh.optimising.energies import InverseMeanRatio, Regularised

@@ -7,7 +7,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh.learning.domains import moving
-from torchmesh.mesh.neighbourhoods import vertex_size
+from torchmesh.mesh.means import vertex_size
 from torchmesh.optimising.assembly import chunks_of, energy_and_forces
 from torchmesh.optimising.energies import InverseMeanRatio, Regularised, UntangleBeta
 from torchmesh.optimising.jacobian import equilateral

@@ -26,7 +26,7 @@ from torchmesh import FlipOptions, MeshBatch, flip_to_delaunay, join, quality
 from torchmesh.flipping import rounds as flipping
 from torchmesh.flipping import rules
 from torchmesh.mesh import connectivity
-from torchmesh.mesh.neighbourhoods import constrained_half_edges
+from torchmesh.mesh.batch import constrained_half_edges
 
 RULES = {
     "safe": FlipOptions(),
@@ -261,7 +261,7 @@ def test_a_pass_asks_no_more_about_an_edge_that_it_made(size, seed):
         return rules.kim_rule(q)
 
     twin = connectivity.twins(mesh.triangles)
-    locked = constrained_half_edges(mesh, twin)
+    locked = constrained_half_edges(mesh)
     triangles, _, log = flipping.flip_rounds(mesh.points, mesh.triangles, twin, locked, listening, once=True)
     expected, info = flip_to_delaunay(mesh, FlipOptions.paper())
     assert torch.equal(triangles, expected.triangles)
@@ -335,16 +335,6 @@ def test_twins_are_handed_on_by_flips_and_those_given_are_not_changed():
     assert int(info.flips) > 0
     assert torch.equal(mesh.twin, copy)
     assert torch.equal(flipped.known_twin, connectivity.twins(flipped.triangles))
-
-
-def test_constrained_half_edges_are_both_halves_of_the_constrained_edges():
-    mesh = meshes.l_shape()
-    twin = connectivity.twins(mesh.triangles)
-    locked = constrained_half_edges(mesh, twin)
-    tail, head = connectivity.tails(mesh.triangles), connectivity.heads(mesh.triangles)
-    ends = sorted(zip(tail[locked].tolist(), head[locked].tolist(), strict=True))
-    given_edges = mesh.constrained_edges.tolist()
-    assert ends == sorted((u, v) for e in given_edges for u, v in (e, e[::-1]))
 
 
 @pytest.mark.parametrize("rule", list(RULES))

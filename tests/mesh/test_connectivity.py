@@ -162,3 +162,23 @@ def test_no_triangles():
     assert len(twin) == 0
     assert con.euler_number(none, twin) == 0
     assert con.boundary_loops(con.boundary_edges(none, twin)) == []
+
+
+def test_half_edges_on_edges_are_both_halves_of_these_edges():
+    mesh = meshes.l_shape()
+    locked = con.half_edges_on(mesh.triangles, mesh.constrained_edges, len(mesh.points))
+    tail, head = con.tails(mesh.triangles), con.heads(mesh.triangles)
+    ends = sorted(zip(tail[locked].tolist(), head[locked].tolist(), strict=True))
+    given_edges = mesh.constrained_edges.tolist()
+    assert ends == sorted((u, v) for e in given_edges for u, v in (e, e[::-1]))
+    assert len(ends) > 2
+
+
+def test_triangles_that_touch_vertices_and_corners_of_triangles_by_brute_force(rng):
+    mesh = meshes.disc()
+    vertices = torch.from_numpy(rng.random(len(mesh.points)) < 0.1)
+    touched = con.touching(mesh.triangles, vertices)
+    assert touched.tolist() == [any(bool(vertices[v]) for v in t) for t in mesh.triangles.tolist()]
+    assert 0 < int(touched.sum()) < len(touched)
+    corners = con.corners_of(mesh.triangles, touched, len(mesh.points))
+    assert set(corners.nonzero().flatten().tolist()) == set(mesh.triangles[touched].flatten().tolist())

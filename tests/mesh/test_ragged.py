@@ -67,3 +67,18 @@ def test_a_sum_has_the_same_bits_whatever_stands_before_and_after(before, count,
     values, offsets = rows_of(counts, seed=count), seg.offsets_from_counts(torch.tensor(counts))
     alone = seg.segment_sum(values[before : before + count].clone(), torch.tensor([0, count]))
     assert torch.equal(seg.segment_sum(values, offsets)[1:2], alone)
+
+
+@given(COUNTS)
+def test_the_owner_of_a_row_is_its_mesh(counts):
+    offsets = seg.offsets_from_counts(torch.tensor(counts))
+    rows = torch.randperm(sum(counts), generator=torch.Generator().manual_seed(1))
+    assert torch.equal(seg.owner_of(rows, offsets), seg.segment_ids(offsets)[rows])
+
+
+@given(COUNTS, st.data())
+def test_rows_of_each_mesh_come_as_often_as_it_is_named(counts, data):
+    offsets = seg.offsets_from_counts(torch.tensor(counts))
+    meshes = data.draw(st.lists(st.integers(0, len(counts) - 1), max_size=8))
+    expected = [row for b in meshes for row in range(int(offsets[b]), int(offsets[b + 1]))]
+    assert seg.rows_of_each(torch.tensor(meshes, dtype=torch.int64), offsets).tolist() == expected

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 import torchmesh as tm
 from torchmesh import MeshBatch
 from torchmesh.mesh import connectivity
-from torchmesh.mesh.batch import lift, vertex_mesh
+from torchmesh.mesh.batch import constrained_half_edges, lift, vertex_mesh
 from torchmesh.mesh.certificate import same_frame
-from torchmesh.mesh.neighbourhoods import constrained_half_edges
 from torchmesh.mesh.ragged import spread
 from torchmesh.mesh.triangle import corners, inverse_mean_ratio
 from torchmesh.mesh.vertex_map import Names, exchange
@@ -67,7 +66,7 @@ def assert_twins(e: Editable) -> None:
 def region_areas(mesh: MeshBatch) -> list[Fraction]:
     """The exact area of every part between boundary and constrained edges, in ascending order."""
     twin = connectivity.twins(mesh.triangles)
-    locked = constrained_half_edges(mesh, twin)
+    locked = constrained_half_edges(mesh)
     part = connectivity.triangle_components(mesh.triangles, twin, locked)
     areas = double_areas(mesh)
     return sorted(

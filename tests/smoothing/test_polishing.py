@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import torchmesh as tm
 from torchmesh.mesh.certificate import same_frame
 from torchmesh.mesh.connectivity import edges, twins
-from torchmesh.mesh.neighbourhoods import repeated
 from torchmesh.smoothing.patches import Patches, every_flip, seeds_of
 from torchmesh.smoothing.polishing import PolishOptions, _fan_limits, bad_triangles, polish
 
@@ -244,15 +243,6 @@ def test_every_legal_flip_of_every_mesh_is_a_member():
             new.triangles[h // 3], new.triangles[g // 3] = torch.stack([u, r, s]), torch.stack([r, w, s])
             convex += inverted(new) == 0 and frozenset([int(u), int(w)]) not in (locked if b == 1 else ())
         assert len(kept[b]) == convex > 0
-
-
-def test_copies_are_copies():
-    batch = tm.join([meshes.l_shape(2), meshes.grid(2, 2), meshes.l_shape(1)])
-    owner = torch.tensor([0, 0, 1, 2, 2, 2])
-    parts = batch.split()
-    for copy, b in zip(repeated(batch, owner).split(), owner.tolist(), strict=True):
-        for name in ("points", "triangles", "fixed", "constrained_edges"):
-            assert torch.equal(getattr(copy, name), getattr(parts[b], name)), name
 
 
 def test_no_angle_is_missed_by_looking_at_ratios_first():

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchmesh import MeshBatch, SmoothOptions, Status, join, quality, smooth
+from torchmesh.mesh.means import vertex_size
 from torchmesh.mesh.measure import upright
-from torchmesh.mesh.neighbourhoods import vertex_size
 
 # Valid, and far from their best shape.
 ROUGH = {
@@ -299,10 +299,6 @@ def test_the_monitor_sees_every_iteration_and_falling_energies():
     values = [e for _, e in seen]
     assert values == sorted(values, reverse=True)
     assert values[-1] == info.energy.item()
-
-
-def test_vertex_size_is_the_root_mean_square_edge():
-    assert vertex_size(meshes.equilateral(side=3.0)).tolist() == pytest.approx([3.0] * 30, rel=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError, MeshIOError
-from ..mesh.batch import MeshBatch
+from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from .atomic import replacing
 
@@ -192,7 +192,7 @@ def _checked_fields(
 
 def _tables_of(batch: MeshBatch) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """The tables of a batch as they are stored, and the offsets (B+1,) of those that have any."""
-    owner = batch._constraint_owner()
+    owner = constraint_owner(batch)
     edges = batch.constrained_edges - batch.point_offsets[owner][:, None]
     tables = {
         "points": batch.points,

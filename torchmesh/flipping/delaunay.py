@@ -6,9 +6,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from ..mesh.batch import MeshBatch
-from ..mesh.neighbourhoods import constrained_half_edges
-from ..mesh.ragged import spread
+from ..mesh.batch import MeshBatch, constrained_half_edges
+from ..mesh.ragged import owner_of, spread
 from ..mesh.units import centre_and_unit
 from ..optimising.metric_field import MetricField
 from .metric_rule import MetricRule
@@ -77,11 +76,11 @@ def flip_to_delaunay(
         batch.points.to(torch.float64) / spread(unit, batch.point_offsets)[:, None],
         batch.triangles,
         batch.twin,
-        constrained_half_edges(batch, batch.twin),
+        constrained_half_edges(batch),
         _RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
         once=options.once,
         max_rounds=options.max_rounds,
         around=around,
     )
-    owner = torch.bucketize(log, batch.triangle_offsets[1:], right=True)
+    owner = owner_of(log, batch.triangle_offsets)
     return batch.with_triangles(triangles, twin), FlipInfo(torch.bincount(owner, minlength=len(batch)))

@@ -21,7 +21,8 @@ from ..diagnosing.diagnosis import diagnose
 from ..flipping.delaunay import FlipOptions
 from ..mesh.batch import MeshBatch
 from ..mesh.certificate import same_frame
-from ..mesh.neighbourhoods import corners_of, rewired, touching, vertex_size
+from ..mesh.means import vertex_size
+from ..mesh.neighbourhoods import corners_of, rewired, touching
 from ..mesh.ragged import segment_any
 from ..optimising.lbfgs import LbfgsOptions
 from ..remeshing.criteria import crowded

@@ -14,8 +14,8 @@ import torch
 
 from ..errors import ConvergenceError
 from ..mesh.batch import MeshBatch, join
+from ..mesh.means import vertex_size
 from ..mesh.measure import quality
-from ..mesh.neighbourhoods import vertex_size
 from ..mesh.triangle import corners, signed_area
 from ..optimising.laplacian import cotangent_weights, harmonic_extension
 from ..smoothing.smoothing import SmoothOptions, smooth

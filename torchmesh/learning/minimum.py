@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..mesh.batch import MeshBatch
+from ..mesh.means import vertex_size
 from ..mesh.measure import upright
-from ..mesh.neighbourhoods import vertex_size
 from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
 from ..optimising.assembly import chunk_offsets, chunks_of, energy_and_forces
 from ..optimising.conjugate_gradients import solve

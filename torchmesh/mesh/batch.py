@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
-from .ragged import counts_from_offsets, offsets_from_counts, rows_of, segment_ids, spread
+from .ragged import counts_from_offsets, offsets_from_counts, owner_of, rows_of, segment_ids, spread
 from .validation import checked_constraints, checked_fixed, checked_points, checked_triangles, oriented, to_plane
 
 
@@ -139,7 +139,7 @@ class MeshBatch:
     def split(self) -> list["MeshBatch"]:
         """The B meshes, each a batch of one."""
         vertex, face = self.point_offsets.tolist(), self.triangle_offsets.tolist()
-        owner, twin = self._constraint_owner(), self.known_twin
+        owner, twin = constraint_owner(self), self.known_twin
         meshes = []
         for b in range(len(self)):
             v, t = slice(vertex[b], vertex[b + 1]), slice(face[b], face[b + 1])
@@ -171,7 +171,7 @@ class MeshBatch:
         triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep])
         shift = torch.zeros_like(vertex_counts)
         shift[keep] = offsets[:-1] - self.point_offsets[:-1][keep]
-        owner = self._constraint_owner()
+        owner = constraint_owner(self)
         constraints = keep[owner]
         triangles = self.triangles.index_select(0, faces).add_(spread(shift[keep], triangle_offsets)[:, None])
         twin = self.known_twin
@@ -185,10 +185,6 @@ class MeshBatch:
             self.frames[keep],
             None if twin is None else (triangles, _selected_twins(self, twin, keep)),
         )
-
-    def _constraint_owner(self) -> Tensor:
-        """(K,) the mesh each constrained edge belongs to."""
-        return torch.searchsorted(self.point_offsets, self.constrained_edges[:, 0].contiguous(), right=True) - 1
 
 
 def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
@@ -280,3 +276,13 @@ def vertex_mesh(mesh: MeshBatch) -> Tensor:
 def triangle_mesh(mesh: MeshBatch) -> Tensor:
     """(T,) int64 the mesh each triangle belongs to."""
     return segment_ids(mesh.triangle_offsets)
+
+
+def constraint_owner(mesh: MeshBatch) -> Tensor:
+    """(K,) int64 the mesh each constrained edge belongs to."""
+    return owner_of(mesh.constrained_edges[:, 0], mesh.point_offsets)
+
+
+def constrained_half_edges(mesh: MeshBatch) -> Tensor:
+    """(3T,) bool: the half-edges, both of an edge, that lie on constrained edges."""
+    return connectivity.half_edges_on(mesh.triangles, mesh.constrained_edges, len(mesh.points))

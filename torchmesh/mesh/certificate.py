@@ -7,7 +7,8 @@ from torch import Tensor
 
 from . import connectivity
 from .batch import MeshBatch
-from .ragged import counts_from_offsets, segment_count
+from .connectivity import keys_of
+from .ragged import counts_from_offsets, owner_of, segment_count
 
 if TYPE_CHECKING:
     from .vertex_map import VertexMap
@@ -32,7 +33,7 @@ def same_frame(
         new_row, old_row = vertex_map.old_to_new, vertex_map.new_to_old
 
     def fail(vertices: Tensor) -> None:
-        same[torch.bucketize(vertices, before.point_offsets[1:], right=True)] = False
+        same[owner_of(vertices, before.point_offsets)] = False
 
     gone = stays & (new_row < 0)
     fail((gone | (stays & (before.points != after.points[new_row]).any(1))).nonzero().squeeze(1))
@@ -52,14 +53,10 @@ def same_frame(
         present, size = connectivity.edges(after.triangles, twin), len(after.points)
         # Of a remeshed batch, only its own constrained edges can be parts of the old ones.
         kept = present if vertex_map is None else after.constrained_edges
-        kept = kept[torch.isin(_keys(kept, size), _keys(present, size))]
+        kept = kept[torch.isin(keys_of(kept, size), keys_of(present, size))]
         chains = torch.cat([_whole(kept, old_row), _whole(kept.flip(1), old_row)])
-        fail(wanted[~torch.isin(_keys(wanted, count), _keys(chains, count)), 0])
+        fail(wanted[~torch.isin(keys_of(wanted, count), keys_of(chains, count)), 0])
     return same
-
-
-def _keys(edges: Tensor, count: int) -> Tensor:
-    return connectivity.edge_keys(edges[:, 0], edges[:, 1], count)
 
 
 def _whole(edges: Tensor, old_row: Tensor) -> Tensor:

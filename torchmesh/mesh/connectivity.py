@@ -41,6 +41,11 @@ def edge_keys(u: Tensor, v: Tensor, vertices: int) -> Tensor:
     return torch.minimum(u, v) * vertices + torch.maximum(u, v)
 
 
+def keys_of(edges: Tensor, vertices: int) -> Tensor:
+    """(N,) int64 the `edge_keys` of the edges (N, 2)."""
+    return edge_keys(edges[:, 0], edges[:, 1], vertices)
+
+
 def twins(triangles: Tensor) -> Tensor:
     """(3T,) int64 twin of each half-edge, -1 on the boundary.
 
@@ -77,6 +82,31 @@ def boundary_vertices(triangles: Tensor, twin: Tensor, vertices: int) -> Tensor:
     mask = torch.zeros(vertices, dtype=torch.bool, device=triangles.device)
     mask[boundary_edges(triangles, twin).reshape(-1)] = True
     return mask
+
+
+def half_edges_on(triangles: Tensor, edges: Tensor, vertices: int) -> Tensor:
+    """(3T,) bool: the half-edges, both of an edge, that lie on the `edges` (K, 2)."""
+    found = torch.zeros(triangles.numel(), dtype=torch.bool, device=triangles.device)
+    if not len(edges):
+        return found
+    ends = torch.zeros(vertices, dtype=torch.bool, device=triangles.device)
+    ends[edges.reshape(-1)] = True
+    tail, head = tails(triangles), heads(triangles)
+    near = (ends[tail] & ends[head]).nonzero().squeeze(1)
+    found[near] = torch.isin(edge_keys(tail[near], head[near], vertices), keys_of(edges, vertices))
+    return found
+
+
+def touching(triangles: Tensor, vertices: Tensor) -> Tensor:
+    """(T,) bool: the triangles with a corner among `vertices` (V,) bool."""
+    a, b, c = (vertices.index_select(0, v.contiguous()) for v in triangles.unbind(1))
+    return a | b | c
+
+
+def corners_of(triangles: Tensor, these: Tensor, vertices: int) -> Tensor:
+    """(V,) bool: the corners of `these` (T,) bool of the triangles."""
+    mask = torch.zeros(vertices, dtype=torch.bool, device=triangles.device)
+    return mask.index_fill_(0, triangles.index_select(0, these.nonzero().squeeze(1)).reshape(-1), True)
 
 
 def vertex_triangle_counts(triangles: Tensor, vertices: int) -> Tensor:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from .ragged import counts_from_offsets, offsets_from_counts, segment_sum, spread
+from .ragged import counts_from_offsets, offsets_from_counts, owner_of, segment_sum, spread
 from .triangle import arctangent
 
 # Turns below this many radians are rounding: the curve is straight there.
@@ -256,7 +256,7 @@ def fit_curves(
     start, rank = _walks(following, twin)
     # Each chain is walked in both directions: the one that starts from the lower dart counts.
     kept = ((start < start[twin]) & (slider[tail] | slider[head])).nonzero().squeeze(1)
-    mesh = torch.bucketize(tail[kept], point_offsets[1:], right=True)
+    mesh = owner_of(tail[kept], point_offsets)
     order = rank[kept].argsort(stable=True)
     order = order[start[kept[order]].argsort(stable=True)]
     order = order[mesh[order].argsort(stable=True)]
@@ -270,7 +270,7 @@ def fit_curves(
     station = torch.arange(len(darts), device=tail.device) + chain
     place_of = torch.zeros(int(ends[-1]), dtype=torch.int64, device=tail.device)
     place_of[station], place_of[ends[1:] - 1] = tail[darts], head[darts[station + 2 == ends[1:][chain]]]
-    owner = torch.bucketize(place_of, point_offsets[1:], right=True)
+    owner = owner_of(place_of, point_offsets)
     first, last = spread(ends[:-1], ends), spread(ends[1:] - 1, ends)
     return _through(points, place_of, first, last, slider, straight, turn, owner, point_offsets)
 

@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import triangle
+from ..errors import InvalidMeshError
+from . import connectivity, triangle
 from .batch import MeshBatch
-from .neighbourhoods import touching
 from .predicates import orientation, orientation_by_products
-from .ragged import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
+from .ragged import counts_from_offsets, owner_of, segment_count, segment_max, segment_min, segment_sum
 from .triangle import angles, corners
 
 
@@ -83,7 +83,7 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
         moved = (before.points[:, 0] != after.points[:, 0]) | (before.points[:, 1] != after.points[:, 1])
         if 2 * int(moved.sum()) > len(moved):
             return None
-        changed |= touching(after, moved)
+        changed |= connectivity.touching(after.triangles, moved)
     if after.triangles is not before.triangles:
         for old, new in zip(before.triangles.unbind(1), after.triangles.unbind(1), strict=True):
             changed |= old != new
@@ -93,6 +93,15 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
 def upright(batch: MeshBatch) -> Tensor:
     """(T,) bool: the triangle's area is positive, by exact sign."""
     return orientation(*corners(batch.points, batch.triangles)) > 0
+
+
+def refuse_inverted(batch: MeshBatch, why: str) -> None:
+    """Raise InvalidMeshError if a triangle is not upright: its mesh, its row in the batch, and `why` that matters."""
+    inverted = ~upright(batch)
+    if bool(inverted.any()):
+        row = inverted.nonzero()[0]
+        b = int(owner_of(row, batch.triangle_offsets))
+        raise InvalidMeshError(f"mesh {b}: triangles row {int(row)} is inverted{why}")
 
 
 def minimum_angle(batch: MeshBatch) -> Tensor:

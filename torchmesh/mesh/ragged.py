@@ -32,9 +32,22 @@ def spread(per_mesh: Tensor, offsets: Tensor) -> Tensor:
     return per_mesh.repeat_interleave(counts_from_offsets(offsets), dim=0)
 
 
+def owner_of(rows: Tensor, offsets: Tensor) -> Tensor:
+    """(N,) int64, for each of the `rows` (N,) int64 the mesh that it belongs to."""
+    return torch.bucketize(rows.contiguous(), offsets[1:], right=True)
+
+
 def rows_of(keep: Tensor, offsets: Tensor) -> Tensor:
-    """(B,) bool to (M,) int64: the rows of the meshes kept, in their order."""
+    """(B,) bool to (N,) int64: the rows of the meshes kept, in their order."""
     return spread(keep, offsets).nonzero().squeeze(1)
+
+
+def rows_of_each(meshes: Tensor, offsets: Tensor) -> Tensor:
+    """(M,) int64 to (N,) int64: the rows of the `meshes`, one mesh after the other, each as often as it is named."""
+    counts = counts_from_offsets(offsets)[meshes]
+    ends = offsets_from_counts(counts)
+    shift = offsets[:-1][meshes] - ends[:-1]
+    return torch.arange(int(ends[-1]), device=meshes.device) + shift.repeat_interleave(counts)
 
 
 def segment_sum(values: Tensor, offsets: Tensor) -> Tensor:

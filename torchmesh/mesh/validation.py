@@ -114,14 +114,14 @@ def checked_constraints(constrained_edges: Any, faces: Tensor, twin: Tensor, ver
         raise InvalidMeshError(
             f"constrained_edges row {row} is {given[row].tolist()}: rows of points run from 0 to {vertices - 1}"
         )
-    keys = connectivity.edge_keys(given[:, 0], given[:, 1], vertices)
+    keys = connectivity.keys_of(given, vertices)
     present = connectivity.edges(faces, twin)
-    missing = ~torch.isin(keys, connectivity.edge_keys(present[:, 0], present[:, 1], vertices))
+    missing = ~torch.isin(keys, connectivity.keys_of(present, vertices))
     if bool(missing.any()):
         row = _first(missing)
         raise InvalidMeshError(f"constrained_edges row {row} is {given[row].tolist()}: no triangle has that edge")
     rim = connectivity.boundary_edges(faces, twin)
-    interior = ~torch.isin(keys, connectivity.edge_keys(rim[:, 0], rim[:, 1], vertices))
+    interior = ~torch.isin(keys, connectivity.keys_of(rim, vertices))
     return given[interior]
 
 

@@ -13,13 +13,13 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.means import sums_at_vertices
 from ..mesh.measure import Quality, quality
-from ..mesh.metrics import percentiles
-from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_max, segment_sum
+from ..mesh.ragged import counts_from_offsets, segment_max, segment_sum
 from ..optimising.laplacian import harmonic_extension
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import target_quality
-from .sizing import SizeConformity, Sizes, size_field
+from .sizing import SizeConformity, Sizes, conformity, size_field
 
 
 def metric_lengths(batch: MeshBatch, edges: Tensor, metric: Tensor) -> Tensor:
@@ -40,7 +40,7 @@ def metric_size_field(batch: MeshBatch, sizes: Sizes, metric: Tensor, triangles:
     """
     if not isinstance(sizes, str) or sizes == "uniform":
         return size_field(batch, sizes, triangles=triangles)
-    twin = connectivity.twins(batch.triangles)
+    twin = batch.twin
     if sizes == "keep":
         edges = connectivity.edges(batch.triangles, twin)
         return _mean_at_vertices(edges, metric_lengths(batch, edges, metric), batch)[0]
@@ -61,13 +61,7 @@ def metric_quality(batch: MeshBatch, metric: Tensor) -> Quality:
 
 def metric_conformity(batch: MeshBatch, size: Tensor, metric: Tensor) -> SizeConformity:
     """How well the edges of each mesh follow the sizes (V,), when the metric (V, 3) measures them."""
-    edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
-    owner = torch.bucketize(edges[:, 0].contiguous(), batch.point_offsets[1:], right=True)
-    order = owner.argsort(stable=True)
-    edges, offsets = edges[order], offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
-    ratio = 2 * metric_lengths(batch, edges, metric) / (size[edges[:, 0]] + size[edges[:, 1]])
-    low, high = percentiles(ratio, offsets, (5, 95)).unbind(1)
-    return SizeConformity(segment_sum(ratio, offsets) / counts_from_offsets(offsets), low, high)
+    return conformity(batch, size, lambda edges: metric_lengths(batch, edges, metric))
 
 
 def unit_metric(metric: Tensor) -> Tensor:
@@ -78,6 +72,5 @@ def unit_metric(metric: Tensor) -> Tensor:
 def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
     """(V,) the mean length of the edges at each vertex, 1 where there are none; (V,) bool: are there any."""
     number = torch.bincount(edges.reshape(-1), minlength=len(batch.points))
-    total = length.new_zeros(len(batch.points))
-    total.index_add_(0, edges[:, 0], length).index_add_(0, edges[:, 1], length)
+    total = sums_at_vertices(edges, length, len(batch.points))
     return torch.where(number > 0, total / number.clamp_min(1), 1.0), number > 0

@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
-from ..mesh.batch import MeshBatch, vertex_mesh
+from ..mesh.batch import MeshBatch, constrained_half_edges, vertex_mesh
 from ..mesh.connectivity import twins
 from ..mesh.measure import Quality, quality
-from ..mesh.neighbourhoods import constrained_half_edges
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_any, spread
 from ..mesh.units import centre_and_unit
 from ..mesh.vertex_map import Names, VertexMap, exchange
@@ -314,7 +313,7 @@ def editable(batch: MeshBatch, size: Tensor, names: Names, of: Tensor, metric: T
     points = batch.points.to(torch.float64) / unit[:, None]
     return Editable(
         points[:, 0].contiguous(), points[:, 1].contiguous(), size / unit, batch.fixed.clone(), vertex_mesh(batch),
-        of.clone(), batch.triangles.reshape(-1).clone(), twin, constrained_half_edges(batch, twin),
+        of.clone(), batch.triangles.reshape(-1).clone(), twin, constrained_half_edges(batch),
         torch.ones_like(batch.fixed), batch.points.dtype, names.fresh, names.births, len(batch),
         None if metric is None else metric.clone(),
     )  # fmt: skip

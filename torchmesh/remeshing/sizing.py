@@ -15,7 +15,17 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, vertex_mesh
-from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_count, segment_max, segment_sum, spread
+from ..mesh.means import sums_at_vertices
+from ..mesh.metrics import percentiles
+from ..mesh.ragged import (
+    counts_from_offsets,
+    offsets_from_counts,
+    owner_of,
+    segment_count,
+    segment_max,
+    segment_sum,
+    spread,
+)
 from ..mesh.triangle import SQRT3, corners, signed_area
 from ..optimising.conjugate_gradients import solve
 from ..optimising.laplacian import InnerStiffness, cotangent_weights, harmonic_extension
@@ -62,7 +72,7 @@ def size_field(
             return boundary_sizes(batch, wanted, accuracy)
         if sizes == "uniform":
             return uniform_sizes(batch, wanted)
-        edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
+        edges = connectivity.edges(batch.triangles, batch.twin)
         size = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)[0]
         # A vertex without edges, or with its neighbours all in its place, has no length to keep.
         return torch.where(size > 0, size, 1.0)
@@ -138,7 +148,7 @@ class Inwards:
 
 def continue_inwards(batch: MeshBatch, accuracy: float | None = None) -> Inwards:
     """Read the sizes at the boundary and constrained edges, and continue them; `accuracy` as in `size_field`."""
-    twin = connectivity.twins(batch.triangles)
+    twin = batch.twin
     edges = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
     length, known = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)
     t = corners(batch.points.to(torch.float64), batch.triangles)
@@ -212,24 +222,17 @@ class SizeConformity:
 
 def size_conformity(batch: MeshBatch, sizes: Sizes = "boundary") -> SizeConformity:
     """How well the edges of each mesh follow a size field; `sizes` as in `size_field`."""
-    size = size_field(batch, sizes)
-    edges = connectivity.edges(batch.triangles, connectivity.twins(batch.triangles))
-    owner = torch.bucketize(edges[:, 0].contiguous(), batch.point_offsets[1:], right=True)
-    edges, owner = edges[owner.argsort(stable=True)], owner.sort().values
-    ratio = 2 * edge_lengths(batch, edges) / (size[edges[:, 0]] + size[edges[:, 1]])
-    counts = torch.bincount(owner, minlength=len(batch))
-    offsets = torch.nn.functional.pad(counts.cumsum(0), (1, 0))
-    order = ratio.argsort(stable=True)
-    ascending = ratio[order[owner[order].argsort(stable=True)]]
+    return conformity(batch, size_field(batch, sizes), lambda edges: edge_lengths(batch, edges))
 
-    def percentile(part: float) -> Tensor:
-        place = part * (counts - 1).to(ratio)
-        below = place.floor()
-        first = offsets[:-1] + below.long()
-        second = torch.minimum(first + 1, offsets[1:] - 1)
-        return ascending[first] + (place - below) * (ascending[second] - ascending[first])
 
-    return SizeConformity(segment_sum(ratio, offsets) / counts, percentile(0.05), percentile(0.95))
+def conformity(batch: MeshBatch, size: Tensor, lengths: Callable[[Tensor], Tensor]) -> SizeConformity:
+    """How well the edges of each mesh follow the sizes (V,); `lengths` takes edges (E, 2) to their lengths (E,)."""
+    edges = connectivity.edges(batch.triangles, batch.twin)
+    owner = owner_of(edges[:, 0], batch.point_offsets)
+    edges, offsets = edges[owner.argsort(stable=True)], offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
+    ratio = 2 * lengths(edges) / (size[edges[:, 0]] + size[edges[:, 1]])
+    low, high = percentiles(ratio, offsets, (5, 95)).unbind(1)
+    return SizeConformity(segment_sum(ratio, offsets) / counts_from_offsets(offsets), low, high)
 
 
 def carried(batch: MeshBatch, size: Tensor, places: Tensor) -> Tensor:
@@ -274,8 +277,7 @@ def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[
     """(V,) the mean length of the edges at each vertex, the mesh's where there are none; (V,) bool: are there any."""
     count = len(batch.points)
     number = torch.bincount(edges.reshape(-1), minlength=count)
-    total = length.new_zeros(count)
-    total.index_add_(0, edges[:, 0], length).index_add_(0, edges[:, 1], length)
+    total = sums_at_vertices(edges, length, count)
     mean = segment_sum(total, batch.point_offsets) / segment_sum(number.to(total), batch.point_offsets).clamp_min(1)
     there = number > 0
     return torch.where(there, total / number.clamp_min(1), spread(mean, batch.point_offsets)), there

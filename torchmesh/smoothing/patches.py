@@ -10,10 +10,10 @@ from torch import Tensor
 
 from ..flipping.rounds import edge_exists
 from ..flipping.rules import Quads, new_signs
-from ..mesh.batch import MeshBatch, join, triangle_mesh
-from ..mesh.connectivity import next_in_triangle, previous_in_triangle, twins
-from ..mesh.neighbourhoods import constrained_half_edges, repeated
+from ..mesh.batch import MeshBatch, constrained_half_edges, join, triangle_mesh
+from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from ..mesh.ragged import offsets_from_counts
+from ..mesh.submesh import repeated
 
 
 def seeds_of(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
@@ -70,7 +70,7 @@ class Patches:
         vertices = keys % count
         mine = label[vertices] == keys // count
         point_offsets = offsets_from_counts(torch.bincount(keys // count, minlength=len(seeds)))
-        locked = constrained_half_edges(part, part.triangles.new_full((3 * len(part.triangles),), -1))
+        locked = constrained_half_edges(part)
         h = locked.reshape(-1, 3)[faces].reshape(-1).nonzero().squeeze(1)
         ends = torch.stack([place.reshape(-1)[h], place.reshape(-1)[next_in_triangle(h)]], 1)
         mesh = MeshBatch(
@@ -100,9 +100,9 @@ def every_flip(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple
     complete  (V,) bool, all triangles at the vertex are there
     near      (V,) bool, flip edges that end at one of these only; None: at any
     """
-    twin = twins(batch.triangles)
+    twin = batch.twin
     vertex = batch.triangles.reshape(-1)
-    locked = constrained_half_edges(batch, twin)
+    locked = constrained_half_edges(batch)
     half = torch.arange(len(twin), device=twin.device)
     h = ((twin > half) & ~locked).nonzero().squeeze(1)
     g = twin[h]

@@ -21,18 +21,21 @@ from torch import Tensor
 
 from ..mesh import triangle
 from ..mesh.batch import MeshBatch, join, triangle_mesh
-from ..mesh.connectivity import next_in_triangle, twins
+from ..mesh.connectivity import next_in_triangle, touching
 from ..mesh.measure import Quality, quality
-from ..mesh.neighbourhoods import corners_of, picked, ragged_rows, surroundings, touching
+from ..mesh.neighbourhoods import surroundings
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
+    owner_of,
+    rows_of_each,
     segment_count,
     segment_max,
     segment_min,
     segment_sum,
     spread,
 )
+from ..mesh.submesh import picked, submesh
 from ..mesh.triangle import SQRT3, corners, inverse_mean_ratio
 from .patches import Patches, every_flip, seeds_of
 from .smoothing import SmoothOptions, smooth
@@ -147,7 +150,7 @@ def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tenso
     least = min((2 - math.cos(t)) / (SQRT3 * math.sin(t)), options.ratio) if t else options.ratio
     bad = q.inverse_mean_ratio > least
     rows = bad.nonzero().squeeze(1)
-    valid = q.inverted.index_select(0, torch.bucketize(rows, batch.triangle_offsets[1:], right=True)) == 0
+    valid = q.inverted.index_select(0, owner_of(rows, batch.triangle_offsets)) == 0
     few = corners(batch.points.to(torch.float64), batch.triangles.index_select(0, rows))
     bad[rows] = valid & _is_bad(triangle.minimum_angle(few), q.inverse_mean_ratio.index_select(0, rows), options)
     return bad
@@ -160,7 +163,8 @@ def _is_bad(angle: Tensor, ratio: Tensor, options: PolishOptions) -> Tensor:
 class _Polishing:
     """The surroundings of the bad triangles on their way; the rest of the batch is not looked at.
 
-    part      those surroundings, a mesh for each of the batch's; `vertices`, `faces`: their rows there
+    taken     those surroundings as they were
+    part      what they have become, a mesh for each of the batch's
     complete  (V',) bool, all triangles at the vertex are in `part`
     stuck     (T',) bool, the triangle was tried in vain, and nothing near it has changed since
     """
@@ -170,26 +174,11 @@ class _Polishing:
         self.patches = torch.zeros(len(batch), dtype=torch.int64, device=bad.device)
         self.flips = self.patches.clone()
         # A patch may leave the next one beside it bad, and so on, so far.
-        near = corners_of(batch, bad)
-        for _ in range(3 * max(level.rings for level in _LEVELS)):
-            near = corners_of(batch, touching(batch, near))
-        taken = touching(batch, near)
-        self.faces = taken.nonzero().squeeze(1)
-        present = corners_of(batch, taken)
-        self.vertices = present.nonzero().squeeze(1)
-        row = torch.nn.functional.pad(present.cumsum(0), (1, 0))
-        kept = batch.constrained_edges[present[batch.constrained_edges].all(1)]
-        self.complete = near[self.vertices]
-        self.part = MeshBatch(
-            batch.points[self.vertices],
-            row[batch.triangles[self.faces]],
-            batch.fixed[self.vertices] | ~self.complete,
-            row[kept],
-            row[batch.point_offsets],
-            torch.nn.functional.pad(taken.cumsum(0), (1, 0))[batch.triangle_offsets],
-            batch.frames,
-        )
-        self.stuck = torch.zeros(len(self.faces), dtype=torch.bool, device=bad.device)
+        near = surroundings(batch, bad, 3 * max(level.rings for level in _LEVELS) + 1)
+        self.taken = submesh(batch, touching(batch.triangles, near))
+        self.complete = near[self.taken.vertices]
+        self.part = replace(self.taken.mesh, fixed=self.taken.mesh.fixed | ~self.complete)
+        self.stuck = torch.zeros(len(self.part.triangles), dtype=torch.bool, device=bad.device)
         self.least, self.most = _fan_limits(self.part, self.complete)
 
     def asked(self) -> tuple[Tensor, Tensor]:
@@ -203,10 +192,7 @@ class _Polishing:
 
     def whole(self) -> MeshBatch:
         """The batch with what was bettered in its place."""
-        points, triangles = self.batch.points.clone(), self.batch.triangles.clone()
-        points[self.vertices] = self.part.points
-        triangles[self.faces] = self.vertices[self.part.triangles]
-        return replace(self.batch, points=points, triangles=triangles)
+        return self.taken.put_back(self.batch, self.part)
 
     def run(self, level: _Level) -> None:
         """Rounds of this level until every bad triangle is good or was tried in vain."""
@@ -249,7 +235,7 @@ class _Polishing:
         triangles[patches.faces[faces]] = patches.vertices[best.triangles[faces]]
         self.part = replace(part, points=points, triangles=triangles)
         changed = torch.zeros_like(bad).index_fill_(0, patches.faces[faces], True)
-        self.stuck &= ~touching(part, surroundings(part, changed, level.rings))
+        self.stuck &= ~touching(part.triangles, surroundings(part, changed, level.rings))
         owner = triangle_mesh(part)[seeds[good]]
         self.patches += torch.bincount(owner, minlength=len(part))
         self.flips.index_add_(0, owner, flips[good])
@@ -267,7 +253,7 @@ def _fan_limits(part: MeshBatch, complete: Tensor) -> tuple[Tensor, Tensor]:
     """
     limit = torch.full((len(part.points),), torch.inf, dtype=torch.float64, device=complete.device)
     round_limit = torch.ones_like(limit)
-    twin = twins(part.triangles)
+    twin = part.twin
     out = (twin < 0).nonzero().squeeze(1)
     vertex = part.triangles.reshape(-1)
     number = torch.bincount(vertex[out], minlength=len(limit))
@@ -333,7 +319,7 @@ def _best_of(patches: Patches, level: _Level, options: PolishOptions) -> tuple[M
     start, of_start = given, torch.arange(len(given), device=patches.seed.device)
     found, of_found, flips_of_found = [], [], []
     for depth in range(level.flips):
-        complete, seed = (v[ragged_rows(given.point_offsets, of_start)] for v in (patches.complete, patches.seed))
+        complete, seed = (v[rows_of_each(of_start, given.point_offsets)] for v in (patches.complete, patches.seed))
         members, of_member, flipped = every_flip(start, complete, seed if level.near else None)
         patch = of_start[of_member]
         members, _ = smooth(members, options.smooth, block=_BLOCK)

@@ -15,7 +15,7 @@ from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.curves import BoundaryCurves, fit_curves
 from ..mesh.measure import upright
-from ..mesh.ragged import counts_from_offsets, segment_any, segment_max, segment_sum, spread
+from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_max, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
 from ..optimising.lbfgs import BLOCK
 from ..optimising.objective import MeshObjective, Packing
@@ -46,7 +46,7 @@ def curves_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None 
 
 def _network(batch: MeshBatch) -> tuple[Tensor, Tensor]:
     """(E, 2) the boundary and constrained edges, and (V,) bool their vertices."""
-    rim = connectivity.boundary_edges(batch.triangles, connectivity.twins(batch.triangles))
+    rim = connectivity.boundary_edges(batch.triangles, batch.twin)
     network = torch.cat([rim, batch.constrained_edges])
     mask = torch.zeros(len(batch.points), dtype=torch.bool, device=rim.device)
     mask[network.reshape(-1)] = True
@@ -142,7 +142,7 @@ class Slide:
         still = spread(segment_max((slid != curves.parameter).to(slid.dtype), chains) == 0, chains)
         part = torch.ones(len(batch), dtype=before.dtype, device=before.device)
         area = segment_sum(signed_area(corners(before, batch.triangles)), batch.triangle_offsets)
-        chain_mesh = torch.bucketize(chains[:-1], curves.offsets[1:], right=True)
+        chain_mesh = owner_of(chains[:-1], curves.offsets)
         for halving in range(_HALVINGS + 1):
             weight = spread(part, batch.point_offsets)[:, None]
             points = torch.where(weight == 1, interior, before + weight * (interior - before))
@@ -175,7 +175,7 @@ def _crosses(batch: MeshBatch, at: Tensor) -> Tensor:
     for b in at.nonzero().squeeze(1).tolist():
         mesh = batch.select(torch.arange(len(batch), device=at.device) == b)
         edges, _ = _network(mesh)
-        piece = connectivity.triangle_components(mesh.triangles, connectivity.twins(mesh.triangles))
+        piece = connectivity.triangle_components(mesh.triangles, mesh.twin)
         of_vertex = torch.zeros(len(mesh.points), dtype=torch.int64, device=piece.device)
         of_vertex[mesh.triangles] = piece[:, None]
         points = mesh.points.detach().to("cpu", torch.float64).numpy()

@@ -18,7 +18,7 @@ from ..status import Status
 
 if TYPE_CHECKING:
     from ..mesh.curves import BoundaryCurves
-from ..mesh.neighbourhoods import vertex_size
+from ..mesh.means import vertex_size
 from ..optimising.moves import Monitor, MoveInfo
 
 

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
-from ..mesh.neighbourhoods import Means
+from ..mesh.means import Means
 from ..mesh.ragged import counts_from_offsets, segment_sum, spread
 from ..mesh.triangle import SQRT3, corners, signed_area
 

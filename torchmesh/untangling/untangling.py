@@ -7,8 +7,9 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, put, triangle_mesh
+from ..mesh.means import Means, vertex_size
 from ..mesh.measure import upright
-from ..mesh.neighbourhoods import Means, surroundings, vertex_size
+from ..mesh.neighbourhoods import surroundings
 from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segment_sum, spread
 from ..mesh.triangle import SQRT3, Corners, corners, signed_area
 from ..optimising.energies import UntangleBeta

@@ -164,8 +164,7 @@ def _bodies(batch: MeshBatch) -> tuple[Tensor, int]:
     from scipy.sparse.csgraph import connected_components
 
     count = len(batch.points)
-    twin = connectivity.twins(batch.triangles)
-    rim = connectivity.boundary_edges(batch.triangles, twin)
+    rim = connectivity.boundary_edges(batch.triangles, batch.twin)
     on_rim = torch.zeros(count, dtype=torch.bool, device=rim.device)
     on_rim[rim.reshape(-1)] = True
     inner = batch.constrained_edges[~on_rim[batch.constrained_edges].any(1)]

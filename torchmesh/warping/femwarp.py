@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
-from ..mesh.batch import MeshBatch, triangle_mesh
-from ..mesh.measure import upright
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import refuse_inverted
 from ..mesh.triangle import corners
 from ..optimising.laplacian import cotangent_weights, harmonic_extension
 
@@ -35,13 +35,7 @@ def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
     if bool(bad.any()):
         row = int(bad.nonzero()[0, 0])
         raise InvalidMeshError(f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite place")
-    fallen = ~upright(batch)
-    if bool(fallen.any()):
-        row = int(fallen.nonzero()[0, 0])
-        raise InvalidMeshError(
-            f"mesh {int(triangle_mesh(batch)[row])}: triangles row {row} is inverted; "
-            f"{what} starts from a valid mesh, so improve it first"
-        )
+    refuse_inverted(batch, f"; {what} starts from a valid mesh, so improve it first")
     return torch.where(batch.fixed[:, None], target, batch.points)
 
 

@@ -1,0 +1,50 @@
+"""Values of triangles and edges summed up and averaged at the vertices, and back."""
+
+import torch
+from torch import Tensor
+
+from .batch import MeshBatch
+from .connectivity import vertex_triangle_counts
+from .triangle import corners, squared_edge_lengths
+
+
+def sums_at_vertices(elements: Tensor, values: Tensor, vertices: int) -> Tensor:
+    """(V, ...) the sum of the `values` (N, ...) of the elements at each vertex; 0 where there are none.
+
+    elements  (N, k) int64: edges (k = 2) or triangles (k = 3).  Column is added after column, so that
+              a sum's bits do not depend on what else is in the batch
+    """
+    total = values.new_zeros((vertices, *values.shape[1:]))
+    for column in elements.unbind(1):
+        total.index_add_(0, column, values)
+    return total
+
+
+class Means:
+    """Means from vertices to triangles and back, many times over the same triangles."""
+
+    def __init__(self, batch: MeshBatch) -> None:
+        self.corners = [v.contiguous() for v in batch.triangles.unbind(1)]
+        self.count = vertex_triangle_counts(batch.triangles, len(batch.points)).clamp_min(1)
+
+    def of_corners(self, values: Tensor) -> Tensor:
+        """(T,) the mean of `values` (V,) over each triangle's corners."""
+        a, b, c = (values.index_select(0, v) for v in self.corners)
+        return a.add_(b).add_(c).div_(3)
+
+    def round_vertices(self, values: Tensor) -> Tensor:
+        """(V,) the mean of `values` (T,) over the triangles round each vertex; 0 for unused ones."""
+        total = values.new_zeros(len(self.count))
+        for v in self.corners:
+            total.index_add_(0, v, values)
+        return total.div_(self.count)
+
+
+def vertex_size(batch: MeshBatch) -> Tensor:
+    """(V,) root mean square edge length round each vertex, in the batch's unit; 0 for unused ones."""
+    ab, bc, ca = squared_edge_lengths(corners(batch.points.to(torch.float64), batch.triangles))
+    a, b, c = (v.contiguous() for v in batch.triangles.unbind(1))
+    total = ab.new_zeros(len(batch.points))
+    total.index_add_(0, a, ab + ca).index_add_(0, b, ab + bc).index_add_(0, c, bc + ca)
+    count = vertex_triangle_counts(batch.triangles, len(batch.points)).clamp_min(1)
+    return (total / (2 * count)).sqrt()
