@@ -23,7 +23,7 @@ _CHUNK = 1000
 _SHORT = 1e-7
 
 
-def fallen_fixed_triangles(points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+def inverted_fixed_triangles(points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """(N,) the rows of `triangles` whose three vertices are fixed and which are not upright."""
     rows = np.flatnonzero(fixed[triangles].all(1))
     return rows[signs(points, *triangles[rows].T) <= 0]

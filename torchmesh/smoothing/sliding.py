@@ -19,7 +19,7 @@ from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_ma
 from ..mesh.triangle import corners, signed_area
 from ..optimising.lbfgs import BLOCK
 from ..optimising.objective import MeshObjective, Packing
-from ..triangulating.polygon import crossing_pairs
+from ..triangulating.crossings import crossing_pairs
 
 # How much of a mesh's area the chain of a curve may change by, beyond which a slide is shortened.
 AREA_TOLERANCE = 1e-9

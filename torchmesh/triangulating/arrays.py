@@ -44,13 +44,13 @@ def among(values: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.asarray(known[np.minimum(np.searchsorted(known, values), len(known) - 1)] == values)
 
 
-def following(h: np.ndarray) -> np.ndarray:
-    """The half-edge after h in its triangle."""
+def next_in_triangle(h: np.ndarray) -> np.ndarray:
+    """The half-edge after h in its triangle, as that of `connectivity`."""
     return np.where(h % 3 == 2, h - 2, h + 1)
 
 
-def preceding(h: np.ndarray) -> np.ndarray:
-    """The half-edge before h in its triangle."""
+def previous_in_triangle(h: np.ndarray) -> np.ndarray:
+    """The half-edge before h in its triangle, as that of `connectivity`."""
     return np.where(h % 3 == 0, h + 2, h - 1)
 
 

@@ -15,7 +15,8 @@ import shapely
 from scipy.spatial import Delaunay, cKDTree
 
 from .arrays import Obstacle, signs
-from .polygon import is_triangulation_of, locate, loop_edges, triangulate_polygon
+from .polygon import loop_edges
+from .polygon_triangulation import is_triangulation_of, locate, triangulate_polygon
 
 _SQRT3 = np.sqrt(3.0)
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from ..mesh import connectivity
-from .arrays import Obstacle, among, following, preceding, signs
+from .arrays import next_in_triangle, previous_in_triangle, signs
 
 # Corners are cocircular when the sine of the two opposite angles' sum is within this of zero: far
 # above its rounding error, so that every flip made is one of exact arithmetic and flipping ends.
@@ -24,11 +24,6 @@ _COCIRCULAR = 1e-12
 
 # Flip rounds after a round of insertion: enough to keep vertex degrees small.
 _ROUNDS_PER_INSERTION = 2
-
-
-# Where to try to put a vertex into a triangle, as weights of its corners: the centroid, and where a
-# triangle a few floating-point numbers wide may still have one inside.
-_PLACES = [(1, 1, 1), (2, 1, 1), (1, 2, 1), (1, 1, 2), (1, 2, 2), (2, 1, 2), (2, 2, 1), (6, 1, 1), (1, 6, 1), (1, 1, 6)]
 
 
 _NONE = np.zeros(0, np.int64)
@@ -84,57 +79,20 @@ class Triangulation:
             stay[pick[stuck | win]] = False
             waiting, home = waiting[stay], home[stay]
             h, g = h[edge], self.twin[h[edge]]
-            triangles, home = self._fan(3 * t[face][:, None] + np.arange(3), new_face, waiting, home)
-            quads, home = self._fan(
-                np.stack([following(h), preceding(h), following(g), preceding(g)], 1), new_edge, waiting, home
+            triangles, home = self.fan(3 * t[face][:, None] + np.arange(3), new_face, waiting, home)
+            quads, home = self.fan(
+                np.stack(
+                    [next_in_triangle(h), previous_in_triangle(h), next_in_triangle(g), previous_in_triangle(g)], 1
+                ),
+                new_edge,
+                waiting,
+                home,
             )
             dirty = np.concatenate([dirty, triangles.ravel(), quads.ravel()])
             for _ in range(_ROUNDS_PER_INSERTION):
                 dirty, home = self._flip_round(dirty, waiting, home)
         self.flip_to_delaunay(dirty)
         return np.concatenate(refused)
-
-    def spread(self, vertices: np.ndarray, dtype: np.dtype) -> np.ndarray:
-        """Put `vertices` (N,) in at places of our choice: centroids, where `spacing` is exceeded most.
-
-        Places are rounded to `dtype` and used only if exactly inside.  Returns those for which no
-        triangle has room left between the floating-point numbers.
-        """
-        full = np.zeros(len(self.corners), bool)
-        if len(vertices):
-            self.flip_to_delaunay(np.arange(len(self.corners)))
-        while len(vertices):
-            a, b, c = (self.points[self.corners[:, i]] for i in range(3))
-            area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-            excess = np.where(full, 0.0, np.maximum(area, np.finfo(float).tiny))
-            excess /= self.spacing[self.corners].mean(1) ** 2
-            most = excess.max()
-            if most <= 0:
-                break
-            t = np.flatnonzero(excess > most / 3)
-            if len(t) > len(vertices):
-                t = t[np.argsort(-excess[t], kind="stable")[: len(vertices)]]
-            used = vertices[: len(t)]
-            inside = np.zeros(len(t), bool)
-            for one, two, three in _PLACES:
-                out = np.flatnonzero(~inside)
-                if not len(out):
-                    break
-                s, total = t[out], one + two + three
-                places = a[s] + (two * (b[s] - a[s]) + three * (c[s] - a[s])) / total
-                self.points[used[out]] = places.astype(dtype)
-                inside[out] = (self.sides(s, used[out]) > 0).all(1)
-            full[t[~inside]] = True
-            if not inside.any():
-                continue
-            self.points[used[: inside.sum()]] = self.points[used[inside]]
-            used = used[: inside.sum()]
-            vertices = vertices[len(used) :]
-            slots, _ = self._fan(3 * t[inside][:, None] + np.arange(3), used)
-            full = np.concatenate([full, np.zeros(len(self.corners) - len(full), bool)])
-            # A flip may make room again.
-            full[self.flip_to_delaunay(slots.ravel())] = False
-        return vertices
 
     def flip_to_delaunay(self, dirty: np.ndarray) -> np.ndarray:
         """Flip the edges of the triangles `dirty` and what follows from it; the triangles looked at."""
@@ -144,80 +102,7 @@ class Triangulation:
             seen.append(dirty)
         return np.concatenate(seen)
 
-    def recover(self, segments: np.ndarray) -> Obstacle | None:
-        """Flip until each of `segments` (K, 2) is an edge, and lock it; what stands in the way, if anything.
-
-        Always flips the edge from the vertex w farthest from the line on its left to w's farthest
-        neighbour z across the line.  That quadrilateral is strictly convex at both (ties go to the
-        vertex farther along), w never comes back, so it ends; Sloan 1993 leaves that open.
-        """
-        if not len(segments):
-            return None
-        count = len(self.points)
-        there, wanted = (
-            np.minimum(u, v) * count + np.maximum(u, v)
-            for u, v in ((self.corners, self.corners[:, [1, 2, 0]]), segments.T)
-        )
-        self.locked |= among(there.ravel(), wanted)
-        exact = _Exact(self.points)
-        for u, v in segments[~among(wanted, there)].tolist():
-            obstacle = self._recover(u, v, exact)
-            if obstacle:
-                return obstacle
-        return None
-
-    def _recover(self, u: int, v: int, exact: "_Exact") -> Obstacle | None:
-        while True:
-            crossed, obstacle = self._crossed(u, v, exact)
-            if obstacle:
-                return obstacle
-            if not crossed:
-                break
-            flat = self.corners.ravel()
-            tails, heads = flat[crossed].tolist(), flat[following(np.array(crossed))].tolist()
-            w = max(heads, key=lambda p: (exact.cross(u, v, p), exact.dot(u, v, p)))
-            _, h = max(
-                ((z, h) for z, head, h in zip(tails, heads, crossed, strict=True) if head == w),
-                key=lambda zh: (-exact.cross(u, v, zh[0]), exact.dot(u, v, zh[0])),
-            )
-            self._flip(np.array([h]))
-        flat = self.corners.ravel()
-        spokes = np.flatnonzero((flat == u) | (flat == v))
-        self.locked[spokes[among(flat[following(spokes)], np.array([u, v]))]] = True
-        return None
-
-    def _crossed(self, u: int, v: int, exact: "_Exact") -> tuple[list[int], Obstacle | None]:
-        """The half-edges that the open segment uv crosses from right (tail) to left (head), in order."""
-        corners = self.corners
-        starts = np.flatnonzero(corners.ravel() == u).tolist()
-        spokes = [(h, int(corners[h // 3, (h + 1) % 3]), int(corners[h // 3, (h + 2) % 3])) for h in starts]
-        if any(v in (a, b) for _, a, b in spokes):
-            return [], None
-        for h, a, b in spokes:
-            for p in (a, b):
-                if exact.cross(u, v, p) == 0 and exact.dot(u, v, p) > 0:
-                    return [], Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
-            if exact.cross(u, v, a) < 0 < exact.cross(u, v, b):
-                e = h - h % 3 + (h + 1) % 3
-                break
-        else:
-            return [], Obstacle("the edge [{}, {}] leaves the domain at vertex {}", (u, v, u))
-        crossed = []
-        while True:
-            g = int(self.twin[e])
-            if g < 0 or self.locked[e]:
-                a, b = int(corners[e // 3, e % 3]), int(corners[e // 3, (e + 1) % 3])
-                return [], Obstacle("the edge [{}, {}] crosses the edge [{}, {}]", (u, v, a, b))
-            crossed.append(e)
-            p = int(corners[g // 3, (g + 2) % 3])
-            if p == v:
-                return crossed, None
-            side = exact.cross(u, v, p)
-            if side == 0:
-                return [], Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
-            e = g - g % 3 + (g + (1 if side > 0 else 2)) % 3
-
-    def _fan(
+    def fan(
         self, outer: np.ndarray, p: np.ndarray, waiting: np.ndarray = _NONE, home: np.ndarray = _NONE
     ) -> tuple[np.ndarray, np.ndarray]:
         """Replace the triangles inside the closed walks `outer` (M, k) of half-edges by fans around p (M,).
@@ -269,7 +154,7 @@ class Triangulation:
             return h, home
         g = self.twin[h]
         flat = self.corners.ravel()
-        u, v, w, z = (flat[i] for i in (h, g, preceding(h), preceding(g)))
+        u, v, w, z = (flat[i] for i in (h, g, previous_in_triangle(h), previous_in_triangle(g)))
         (cos_w, sin_w), (cos_z, sin_z) = self._angle(w, u, v), self._angle(z, v, u)
         sine, cosine = sin_w * cos_z + cos_w * sin_z, cos_w * cos_z - sin_w * sin_z
         # Two angles of almost pi each have a sine of zero too.
@@ -282,7 +167,7 @@ class Triangulation:
         h, g = h[keep], g[keep]
         pairs = np.stack([h // 3, g // 3], 1)
         win = self._claimed(pairs, np.arange(len(h)))
-        self._flip(h[win])
+        self.flip(h[win])
         if len(waiting):
             partner = np.full(len(self.corners), -1)
             partner[pairs[win, 0]], partner[pairs[win, 1]] = pairs[win, 1], pairs[win, 0]
@@ -303,13 +188,15 @@ class Triangulation:
         size = np.maximum(np.hypot(ax, ay) * np.hypot(bx, by), np.finfo(float).tiny)
         return dot / size, cross / size
 
-    def _flip(self, h: np.ndarray) -> None:
+    def flip(self, h: np.ndarray) -> None:
         """Turn the edges h (M,), of different triangles, inside their quadrilaterals."""
         g = self.twin[h]
         t, s = h // 3, g // 3
         flat = self.corners.ravel()
-        u, v, w, z = (flat[i] for i in (h, g, preceding(h), preceding(g)))
-        old = np.concatenate([preceding(h), following(g), preceding(g), following(h)])
+        u, v, w, z = (flat[i] for i in (h, g, previous_in_triangle(h), previous_in_triangle(g)))
+        old = np.concatenate(
+            [previous_in_triangle(h), next_in_triangle(g), previous_in_triangle(g), next_in_triangle(h)]
+        )
         new = np.concatenate([3 * t, 3 * t + 1, 3 * s, 3 * s + 1])
         partner, lock = self.twin[old], self.locked[old]
         self.corners[t] = np.stack([w, u, z], 1)
@@ -336,29 +223,3 @@ class Triangulation:
         holder = np.full(len(self.corners), np.iinfo(np.int64).max)
         np.minimum.at(holder, triangles, np.broadcast_to(rank[:, None], triangles.shape))
         return (holder[triangles] == rank[:, None]).all(1)
-
-
-class _Exact:
-    """Products of coordinate differences as Python integers, all times one power of two."""
-
-    def __init__(self, points: np.ndarray) -> None:
-        self.points = points
-        mantissa, exponent = np.frexp(points)
-        self.shift = max(0, 53 - int(exponent[mantissa != 0].min(initial=53)))
-        self.known: dict[int, tuple[int, int]] = {}
-
-    def __getitem__(self, p: int) -> tuple[int, int]:
-        if p not in self.known:
-            (nx, dx), (ny, dy) = (v.as_integer_ratio() for v in self.points[p].tolist())
-            self.known[p] = (nx << self.shift) // dx, (ny << self.shift) // dy
-        return self.known[p]
-
-    def cross(self, u: int, v: int, p: int) -> int:
-        """(v - u) x (p - u): positive when p is left of uv, in proportion to its distance."""
-        (ux, uy), (vx, vy), (px, py) = self[u], self[v], self[p]
-        return (vx - ux) * (py - uy) - (vy - uy) * (px - ux)
-
-    def dot(self, u: int, v: int, p: int) -> int:
-        """(v - u) . (p - u): how far p is along uv."""
-        (ux, uy), (vx, vy), (px, py) = self[u], self[v], self[p]
-        return (vx - ux) * (px - ux) + (vy - uy) * (py - uy)

@@ -17,15 +17,11 @@ from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, join
 from ..triangulating.arrays import Obstacle, among, distinct, signs
-from ..triangulating.polygon import (
-    crossing_pairs,
-    locate,
-    loops_of,
-    triangulate_polygon,
-    triangulate_with,
-    unit_exponent,
-    why_not_simple,
-)
+from ..triangulating.crossings import crossing_pairs
+from ..triangulating.placing import place_vertices
+from ..triangulating.polygon import loops_of, unit_exponent, why_not_simple
+from ..triangulating.polygon_triangulation import locate, triangulate_polygon, triangulate_with
+from ..triangulating.recovery import recover
 from ..triangulating.triangulation import Triangulation
 
 # Of free vertices nearer to each other than this part of the cavity's mean spacing only one stays.
@@ -322,7 +318,7 @@ def _fill(
         work = built
     moved = free.copy()
     moved[work.corners] = False
-    left = work.spread(np.flatnonzero(moved), dtype)
+    left = place_vertices(work, np.flatnonzero(moved), dtype)
     if len(left):
         return Obstacle(f"no room between floating-point numbers for {len(left)} vertices, as {{}}", (int(left[0]),))
     return work.corners, work.points, moved
@@ -349,7 +345,7 @@ def _step_by_step(
     if len(crossing):
         ends = tuple(dangling[crossing[0]].ravel().tolist())
         return Obstacle("the constrained edges [{}, {}] and [{}, {}] meet", ends)
-    obstacle = work.recover(dangling)
+    obstacle = recover(work, dangling)
     if obstacle is not None:
         return obstacle
     _insert(work, stay)

@@ -1,0 +1,123 @@
+"""How the loops of a region lie, and the fixed vertices in it, where no edges cross."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..triangulating.arrays import among, distinct
+from ..triangulating.polygon import loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
+from .problems import Finding, ProblemKind, position_of, text_of
+from .walls import Walls
+
+
+def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
+    """What is wrong with the regions: how their loops lie, and whether their fixed vertices are inside.
+
+    keep  are the triangles to stay, so that those between held edges have been judged already
+    """
+    faces, of_face, count = walls.triangles, walls.region, len(walls.points)
+    if keep:
+        left = ~walls.fixed[faces].all(1)
+        faces, of_face = faces[left], of_face[left]
+    unsettled = np.bincount(of_face, minlength=int(walls.region.max()) + 1) > 0
+    # An edge with the same region on both sides is not on the region's boundary.
+    taken = (walls.alone | (walls.other != walls.own)) & unsettled[walls.own]
+    edges, of_edge = walls.ends[taken], walls.own[taken]
+    # Each region has names of its own for its vertices.
+    named = edges + count * of_edge[:, None]
+    loops = loops_of(named)
+    mine: dict[int, list[int]] = {}
+    for i, loop in enumerate(loops):
+        mine.setdefault(int(loop[0]) // count, []).append(i)
+    loops = [loop % count for loop in loops]
+    turn = turns_left(walls.points, loops)
+    inside = _fixed_inside(walls, edges, of_edge, faces, of_face, named)
+    by_region = {int(keys[0]) // count: keys % count for keys in _runs(inside, inside // count)}
+    for region in np.flatnonzero(np.bincount(of_face)).tolist():
+        rows = mine.get(region, [])
+        if not rows:
+            v = int(faces[of_face == region][0, 0])
+            text = f"the triangles around vertex {v} close up as on a sphere: they have no boundary"
+            yield Finding(ProblemKind.NO_AREA, text, (v,), position_of(walls.points[v]))
+        elif len(rows) > 1 or turn[rows[0]] <= 0 or region in by_region:
+            yield from _nesting(walls.points, [loops[i] for i in rows], turn[rows], by_region.get(region, inside[:0]))
+
+
+def _fixed_inside(
+    walls: Walls, edges: np.ndarray, of_edge: np.ndarray, faces: np.ndarray, of_face: np.ndarray, named: np.ndarray
+) -> np.ndarray:
+    """(N,) the fixed vertices off their region's boundary, each as its row plus V times its region, ascending."""
+    count = len(walls.points)
+    of_vertex = np.full(count, -1)
+    of_vertex[edges] = of_edge[:, None]
+    corners = np.flatnonzero(walls.fixed[faces])
+    vertex, of_corner = faces.ravel()[corners], of_face[corners // 3]
+    doubtful = of_vertex[vertex] != of_corner
+    inside = distinct((vertex + count * of_corner)[doubtful])
+    return inside[~among(inside, named)]
+
+
+def _runs(values: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
+    """`values` (N,) cut where their `label` (N,) changes."""
+    return [part for part in np.split(values, np.flatnonzero(np.diff(label)) + 1) if len(part)]
+
+
+def _nesting(points: np.ndarray, loops: list[np.ndarray], turn: np.ndarray, inside: np.ndarray) -> Iterator[Finding]:
+    """What is wrong with one region of loops that turn to the left or not, and the fixed vertices in it."""
+    left = np.flatnonzero(turn > 0)
+    if not len(left):
+        longest = loops[int(np.argmax([_extent(points[loop]) for loop in loops]))]
+        place = position_of(points[longest[0]])
+        text = (
+            f"the loop through vertex {longest[0]} at {text_of(place)} runs clockwise: its region has no positive area"
+        )
+        yield Finding(ProblemKind.NO_AREA, text, (int(longest[0]),), place)
+        return
+    outer_row = left[int(np.argmax([_extent(points[loops[i]]) for i in left]))] if len(left) > 1 else left[0]
+    outer = loop_edges(loops[outer_row])
+    sound = True
+    for i, hole in enumerate(loops):
+        if i == outer_row:
+            continue
+        alone = hole[~among(hole, outer)]
+        at = alone[:1] if len(alone) else hole[:1]
+        place = position_of(points[at[0]])
+        if turn[i] > 0:
+            text = f"the hole through vertex {at[0]} at {text_of(place)} is inside out"
+            yield Finding(ProblemKind.HOLE_INSIDE_OUT, text, (int(at[0]),), place)
+        elif winding(points, at, outer)[0] != 1:
+            text = f"the hole through vertex {at[0]} at {text_of(place)} lies outside the outer loop"
+            yield Finding(ProblemKind.HOLE_OUTSIDE, text, (int(at[0]),), place)
+        else:
+            continue
+        sound = False
+    nested = nested_holes(points, [loops[i] for i in np.flatnonzero(turn < 0)])
+    if nested is not None:
+        u, v = int(nested[0][0]), int(nested[1][0])
+        place = position_of(points[u])
+        text = f"the hole through vertex {u} at {text_of(place)} lies inside the hole through vertex {v}"
+        yield Finding(ProblemKind.HOLE_OUTSIDE, text, (u, v), place)
+        sound = False
+    if sound and len(inside):
+        yield from _outside(points, loops, outer_row, inside)
+
+
+def _outside(points: np.ndarray, loops: list[np.ndarray], outer: int, rows: np.ndarray) -> Iterator[Finding]:
+    """Those of a region's fixed vertices `rows` (N,) that are not in it."""
+    # Shapely clears the many that are well inside; exact signs judge the rest.
+    import shapely
+
+    near_one = np.ldexp(points, -unit_exponent(points))
+    rings = [near_one[loop] for loop in loops]
+    polygon = shapely.Polygon(rings[outer], rings[:outer] + rings[outer + 1 :])
+    shapely.prepare(polygon)
+    rows = rows[~shapely.contains_xy(polygon, near_one[rows])]
+    boundary = np.concatenate([loop_edges(loop) for loop in loops])
+    for v in rows[winding(points, rows, boundary) != 1].tolist():
+        place = position_of(points[v])
+        text = f"the fixed vertex {v} at {text_of(place)} is not in its region"
+        yield Finding(ProblemKind.VERTEX_OUTSIDE, text, (v,), place)
+
+
+def _extent(xy: np.ndarray) -> float:
+    return float(np.ptp(xy, axis=0).max())

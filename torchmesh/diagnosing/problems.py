@@ -1,0 +1,59 @@
+"""What can be wrong with the boundary and the fixed vertices of a mesh, and how it is told."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ProblemKind(str, Enum):
+    """What is wrong; the value says it in words."""
+
+    DUPLICATE_VERTICES = "two fixed vertices in one place"
+    BOUNDARY_CROSSING = "the boundary meets itself"
+    CONSTRAINT_CROSSING = "a constrained edge meets another or the boundary"
+    NO_AREA = "the boundary encloses no positive area"
+    HOLE_INSIDE_OUT = "a hole is inside out"
+    HOLE_OUTSIDE = "a hole lies outside the outer loop or in another hole"
+    VERTEX_OUTSIDE = "a fixed vertex lies outside its region or on an edge"
+    FIXED_TRIANGLE = "a triangle of three fixed vertices is inverted or flat"
+    FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
+    NO_KERNEL = "the fixed ring round a free vertex leaves it no place"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One reason why a mesh cannot be valid.
+
+    kind      what is wrong
+    message   the same with vertex numbers and the position
+    mesh      the mesh of the batch
+    vertices  the vertices concerned, numbered within their mesh
+    place     the position, about, in the mesh's length unit
+    """
+
+    kind: ProblemKind
+    message: str
+    mesh: int
+    vertices: tuple[int, ...]
+    place: tuple[float, float]
+
+
+class Finding(NamedTuple):
+    """A problem of the mesh that is looked at; which mesh of the batch it is, `diagnose` knows."""
+
+    kind: ProblemKind
+    message: str
+    vertices: tuple[int, ...]
+    place: tuple[float, float]
+
+
+def position_of(xy: np.ndarray) -> tuple[float, float]:
+    """The coordinates (2,) as two numbers."""
+    return float(xy[0]), float(xy[1])
+
+
+def text_of(place: tuple[float, float]) -> str:
+    """The position in six digits."""
+    return f"({place[0]:.6g}, {place[1]:.6g})"

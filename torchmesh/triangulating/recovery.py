@@ -1,0 +1,107 @@
+"""Edges of a triangulation recovered by flips: exact, and sure to end."""
+
+import numpy as np
+
+from .arrays import Obstacle, among, next_in_triangle
+from .triangulation import Triangulation
+
+
+class _Exact:
+    """Products of coordinate differences as Python integers, all times one power of two."""
+
+    def __init__(self, points: np.ndarray) -> None:
+        self.points = points
+        mantissa, exponent = np.frexp(points)
+        self.shift = max(0, 53 - int(exponent[mantissa != 0].min(initial=53)))
+        self.known: dict[int, tuple[int, int]] = {}
+
+    def __getitem__(self, p: int) -> tuple[int, int]:
+        if p not in self.known:
+            (nx, dx), (ny, dy) = (v.as_integer_ratio() for v in self.points[p].tolist())
+            self.known[p] = (nx << self.shift) // dx, (ny << self.shift) // dy
+        return self.known[p]
+
+    def cross(self, u: int, v: int, p: int) -> int:
+        """(v - u) x (p - u): positive when p is left of uv, in proportion to its distance."""
+        (ux, uy), (vx, vy), (px, py) = self[u], self[v], self[p]
+        return (vx - ux) * (py - uy) - (vy - uy) * (px - ux)
+
+    def dot(self, u: int, v: int, p: int) -> int:
+        """(v - u) . (p - u): how far p is along uv."""
+        (ux, uy), (vx, vy), (px, py) = self[u], self[v], self[p]
+        return (vx - ux) * (px - ux) + (vy - uy) * (py - uy)
+
+
+def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
+    """Flip until each of `segments` (K, 2) is an edge, and lock it; what stands in the way, if anything.
+
+    Always flips the edge from the vertex w farthest from the line on its left to w's farthest
+    neighbour z across the line.  That quadrilateral is strictly convex at both (ties go to the
+    vertex farther along), w never comes back, so it ends; Sloan 1993 leaves that open.
+    """
+    if not len(segments):
+        return None
+    count = len(work.points)
+    there, wanted = (
+        np.minimum(u, v) * count + np.maximum(u, v) for u, v in ((work.corners, work.corners[:, [1, 2, 0]]), segments.T)
+    )
+    work.locked |= among(there.ravel(), wanted)
+    exact = _Exact(work.points)
+    for u, v in segments[~among(wanted, there)].tolist():
+        obstacle = _recover_one(work, u, v, exact)
+        if obstacle:
+            return obstacle
+    return None
+
+
+def _recover_one(work: Triangulation, u: int, v: int, exact: _Exact) -> Obstacle | None:
+    while True:
+        crossed, obstacle = _crossed(work, u, v, exact)
+        if obstacle:
+            return obstacle
+        if not crossed:
+            break
+        flat = work.corners.ravel()
+        tails, heads = flat[crossed].tolist(), flat[next_in_triangle(np.array(crossed))].tolist()
+        w = max(heads, key=lambda p: (exact.cross(u, v, p), exact.dot(u, v, p)))
+        _, h = max(
+            ((z, h) for z, head, h in zip(tails, heads, crossed, strict=True) if head == w),
+            key=lambda zh: (-exact.cross(u, v, zh[0]), exact.dot(u, v, zh[0])),
+        )
+        work.flip(np.array([h]))
+    flat = work.corners.ravel()
+    spokes = np.flatnonzero((flat == u) | (flat == v))
+    work.locked[spokes[among(flat[next_in_triangle(spokes)], np.array([u, v]))]] = True
+    return None
+
+
+def _crossed(work: Triangulation, u: int, v: int, exact: _Exact) -> tuple[list[int], Obstacle | None]:
+    """The half-edges that the open segment uv crosses from right (tail) to left (head), in order."""
+    corners = work.corners
+    starts = np.flatnonzero(corners.ravel() == u).tolist()
+    spokes = [(h, int(corners[h // 3, (h + 1) % 3]), int(corners[h // 3, (h + 2) % 3])) for h in starts]
+    if any(v in (a, b) for _, a, b in spokes):
+        return [], None
+    for h, a, b in spokes:
+        for p in (a, b):
+            if exact.cross(u, v, p) == 0 and exact.dot(u, v, p) > 0:
+                return [], Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
+        if exact.cross(u, v, a) < 0 < exact.cross(u, v, b):
+            e = h - h % 3 + (h + 1) % 3
+            break
+    else:
+        return [], Obstacle("the edge [{}, {}] leaves the domain at vertex {}", (u, v, u))
+    crossed = []
+    while True:
+        g = int(work.twin[e])
+        if g < 0 or work.locked[e]:
+            a, b = int(corners[e // 3, e % 3]), int(corners[e // 3, (e + 1) % 3])
+            return [], Obstacle("the edge [{}, {}] crosses the edge [{}, {}]", (u, v, a, b))
+        crossed.append(e)
+        p = int(corners[g // 3, (g + 2) % 3])
+        if p == v:
+            return crossed, None
+        side = exact.cross(u, v, p)
+        if side == 0:
+            return [], Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
+        e = g - g % 3 + (g + (1 if side > 0 else 2)) % 3
