@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, triangle_mesh
-from ..mesh.measure import upright
+from ..mesh.measure import refuse_inverted
 from ..mesh.ragged import counts_from_offsets, segment_sum, spread
 from ..mesh.triangle import SQRT3, corners, signed_area
 from ..optimising.energies import InverseMeanRatio, Regularised, UntangleBeta, whole_power
@@ -146,13 +146,7 @@ def _mean_side(points: Tensor, mesh: MeshBatch) -> Tensor:
 @torch.no_grad()
 def _reference(points: Tensor, mesh: MeshBatch) -> Target:
     """Each triangle of `mesh` as the target of itself."""
-    inverted = ~upright(mesh)
-    if bool(inverted.any()):
-        row = int(inverted.nonzero()[0, 0])
-        raise InvalidMeshError(
-            f"mesh {int(triangle_mesh(mesh)[row])}: triangles row {row} is inverted, so it is no reference; "
-            "give the undeformed mesh, or reference=False"
-        )
+    refuse_inverted(mesh, ", so it is no reference; give the undeformed mesh, or reference=False")
     target = target_of(corners(mesh.points.to(torch.float64), mesh.triangles))
     return Target(*(torch.as_tensor(v).to(points) for v in target))
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, vertex_mesh
+from ..mesh.means import sums_at_vertices
 from .jacobian import EdgeMap
 from .metric_tensors import determinant, metric_of_targets, stretching
 
@@ -132,9 +133,7 @@ def _entries(matrices: Tensor, name: str) -> Tensor:
 
 def mean_at_vertices(batch: MeshBatch, metric: Tensor) -> Tensor:
     """(V, 3) a multiple of the mean of the metrics (T, 3) of the triangles round each vertex."""
-    total = metric.new_zeros((len(batch.points), 3))
-    for corner in range(3):
-        total.index_add_(0, batch.triangles[:, corner], metric)
+    total = sums_at_vertices(batch.triangles, metric, len(batch.points))
     # Any metric serves for a vertex that belongs to no triangle.
     total[total[:, 0] == 0] = total.new_tensor([1.0, 0.0, 1.0])
     return total

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, triangle_mesh
-from ..mesh.measure import upright
+from ..mesh.measure import refuse_inverted
 from ..mesh.ragged import spread
 from ..mesh.triangle import SQRT3, Corners, corners, inverse_mean_ratio, signed_area, squared_edge_lengths
 from .jacobian import Target, invariants, select_rows, target_of
@@ -44,13 +44,7 @@ def target_from(reference: MeshBatch) -> Tensor:
     They serve a batch with the same triangles in the same order, for example the mesh after a deformation.
     Raises InvalidMeshError, naming the row, where a triangle is inverted or flat.
     """
-    inverted = ~upright(reference)
-    if bool(inverted.any()):
-        row = int(inverted.nonzero()[0])
-        raise InvalidMeshError(
-            f"mesh {int(triangle_mesh(reference)[row])}: triangles row {row} is inverted, so it is no target; "
-            "improve the reference first"
-        )
+    refuse_inverted(reference, ", so it is no target; improve the reference first")
     return _edge_matrices(reference)
 
 
