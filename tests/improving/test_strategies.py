@@ -1,0 +1,94 @@
+"""Which steps and stages each set of options calls for, and in which order."""
+
+import meshes
+import pytest
+import torch
+
+from torchmesh import ImproveOptions, RemeshOptions, SmoothOptions, Status, improve, join, target_from
+from torchmesh.improving.strategies import strategy
+
+
+def steps_of(options: ImproveOptions) -> list[str]:
+    return [step.func.__name__ for step in strategy(options)]
+
+
+TANGLED = ["tell_the_hopeless", "untangle_by_averaging"]
+FLIPS = ["untangle_with_flips", "untangle_by_retriangulation"]
+KEPT = ["untangle_with_triangles_kept"]
+GOOD = ["flip_and_smooth", "smooth_at_last"]
+FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (ImproveOptions(), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]),
+        (ImproveOptions.fast(), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]),
+        (ImproveOptions.paper(), ["tell_the_hopeless", "paper"]),
+        (ImproveOptions(topology="keep"), [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last"]),
+        (ImproveOptions(topology="full"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", *FULL]),
+        (ImproveOptions(boundary="slide"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]),
+        (
+            ImproveOptions(topology="keep", smooth=SmoothOptions(targets=target_from(meshes.grid()))),
+            [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last"],
+        ),
+    ],
+    ids=["default", "fast", "paper", "keep", "full", "slide", "targets"],
+)
+def test_the_steps_of_each_set_of_options(options, expected):
+    assert steps_of(options) == expected
+
+
+def stages(mesh, options: ImproveOptions) -> list[str]:
+    _, report = improve(mesh, options)
+    assert bool(report.valid.all())
+    return [step.stage for step in report.steps[0]]
+
+
+def without_repeats(names: list[str]) -> list[str]:
+    return list(dict.fromkeys(names))
+
+
+def test_the_stages_that_the_report_names():
+    mesh = meshes.moved_hole()
+    usual = ["initial", "average", "flip", "untangle-beta"]
+    assert without_repeats(stages(mesh, ImproveOptions()))[:4] == usual
+    assert "smooth" in stages(mesh, ImproveOptions())
+    assert without_repeats(stages(mesh, ImproveOptions.paper())) == ["initial", "flip", "untangle-beta", "smooth"]
+    assert without_repeats(stages(mesh, ImproveOptions(topology="keep"))) == [
+        "initial", "average", "regularised", "smooth",
+    ]  # fmt: skip
+    assert "remesh" in stages(mesh, ImproveOptions(topology="full"))
+    valid = meshes.grid()
+    sized = ImproveOptions(remesh=RemeshOptions(sizes="uniform"))
+    assert "relocate" in stages(valid, sized)
+    assert "relocate" not in stages(valid, ImproveOptions.fast())
+
+
+def test_a_reference_is_followed_first():
+    undeformed = meshes.ring(24, 6)
+    _, report = improve(meshes.disturbed(undeformed, 0.15, 3), ImproveOptions(reference=undeformed))
+    assert [step.stage for step in report.steps[0]][:2] == ["initial", "femwarp"]
+    assert report.worked == ["femwarp"]
+
+
+def test_the_hopeless_are_told_and_no_stage_untangles_them():
+    mesh = meshes.ring()
+    inside_out = mesh.points.clone()
+    inside_out[:16] *= 5
+    batch = join([mesh.with_points(inside_out), meshes.jittered()])
+    after, report = improve(batch)
+    assert report.status.tolist()[0] == Status.INFEASIBLE
+    assert [step.stage for step in report.steps[0]] == ["initial"]
+    assert torch.equal(after.split()[0].points, inside_out)
+    assert report.valid.tolist() == [False, True]
+
+
+def test_the_paper_stalls_where_nothing_changes_any_more():
+    # Two boundary vertices of a strip have changed places: no vertex is free, no flip helps.
+    mesh = meshes.grid(3, 1)
+    points = mesh.points.clone()
+    points[[2, 4]] = points[[4, 2]]
+    _, report = improve(mesh.with_points(points), ImproveOptions.paper(topology="keep"))
+    assert report.status.item() in (Status.STALLED, Status.INFEASIBLE)
+    assert not bool(report.valid)
