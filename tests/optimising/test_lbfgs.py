@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from torchmesh import Status
-from torchmesh.optimising.lbfgs import BLOCK, LbfgsOptions, minimise
+from torchmesh.optimising.blocks import BLOCK
+from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
 
 EXACT = LbfgsOptions(gradient_tolerance=1e-6, energy_tolerance=0.0, max_iterations=2000)
 
@@ -402,6 +403,16 @@ def test_runs_repeat_to_the_bit():
     first, second = (minimise(objective, objective.start, LbfgsOptions()) for _ in range(2))
     assert torch.equal(first.unknowns, second.unknowns)
     assert torch.equal(first.energy, second.energy)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("patience", 0), ("history", 0), ("first_step", 0.0), ("largest_step", -1.0), ("sufficient_decrease", 1.0),
+     ("blind_shortening", 0.0), ("shortening", (0.5, 0.1))],
+)  # fmt: skip
+def test_options_that_cannot_work_are_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=rf"LbfgsOptions\.{name} must"):
+        LbfgsOptions(**{name: value})
 
 
 class Single:

@@ -8,9 +8,9 @@ from torchmesh import join
 from torchmesh.mesh.ragged import segment_sum
 from torchmesh.mesh.triangle import corners, signed_area
 from torchmesh.mesh.units import centre_and_unit
+from torchmesh.optimising.blocks import BLOCK
 from torchmesh.optimising.energies import Regularised
 from torchmesh.optimising.jacobian import equilateral, invariants
-from torchmesh.optimising.lbfgs import BLOCK
 from torchmesh.optimising.objective import MeshObjective, pack
 
 

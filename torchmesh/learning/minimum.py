@@ -21,7 +21,7 @@ from ..optimising.conjugate_gradients import solve
 from ..optimising.energies import InverseMeanRatio
 from ..optimising.hessian import Hessian
 from ..optimising.jacobian import equilateral
-from ..optimising.lbfgs import BLOCK
+from ..optimising.blocks import BLOCK
 from ..optimising.objective import Packing, pack
 from ..smoothing.smoothing import SmoothOptions
 from ..untangling.options import UntangleOptions

@@ -1,29 +1,25 @@
 """L-BFGS for many small problems at once, each with its own history, step and stopping test.
 
-The unknowns of all problems stand in one vector; each problem owns a whole number of blocks, of
-BLOCK numbers or another width (padded with zeros whose gradient is zero), so that the products with
-the history are batched matrix products.  The recursion is the compact representation of Byrd, Nocedal &
-Schnabel (Mathematical Programming 63, 1994): the history is read twice an iteration, and all that
-is small happens in (problems, m, m) tensors, as in the vector-free form of Chen, Wang & Zhou 2014.
-One pass of the loop tries one step of every problem; problems accept or shorten it each for itself.
+The unknowns of all problems stand in one vector, in blocks (see `blocks`).  One pass of the loop tries one step
+of every problem; each problem accepts or shortens it for itself:
+
+    start -> State -> ended? -> step -> State -> ended? -> ...
+
+The directions come from the compact representation of the history (see `lbfgs_history`), the step lengths from
+backtracking with a sufficient decrease (Nocedal & Wright, Numerical Optimization, 2006, algorithm 3.1).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from ..mesh.ragged import counts_from_offsets, offsets_from_counts
+from ..mesh.ragged import counts_from_offsets
 from ..status import Status
-
-BLOCK = 128
-
-
-def block_width(numbers: int, block_offsets: Tensor) -> int:
-    """The numbers in each block, where blocks (B+1,) are filled with so many in all."""
-    return numbers // max(1, int(block_offsets[-1])) or BLOCK
+from .blocks import Blocks, block_width
+from .lbfgs_history import History
 
 
 class Objective(Protocol):
@@ -52,13 +48,21 @@ class Objective(Protocol):
 class LbfgsOptions:
     """How `minimise` runs.
 
-    max_iterations      steps tried at most
-    gradient_tolerance  stop when the root mean square of the scaled gradient is below it
-    energy_tolerance    stop when `patience` steps together lower the energy by less than this part
-    patience            see above
-    history             pairs kept (m)
-    first_step          root mean square length of the first step, in units of `scale`
-    largest_step        largest move of one unknown in a step, in units of `scale`
+    max_iterations       steps tried at most
+    gradient_tolerance   stop when the root mean square of the scaled gradient is below it
+    energy_tolerance     stop when `patience` steps together lower the energy by less than this part
+    patience             see above
+    history              pairs kept (m of Byrd et al. 1994)
+    first_step           root mean square length of the first step, in units of `scale`
+    largest_step         largest move of one unknown in a step, in units of `scale`
+    sufficient_decrease  a step is accepted when the energy falls by this part of what the slope promises
+                         (c1 of Nocedal & Wright 2006, equation 3.4, and their value)
+    least_curvature      a step and its change of the gradient enter the history when the slope along the step rises
+                         by this part; below, the change may be rounding
+    shortening           a refused step is shortened to the minimum of the parabola through it, but to no less and no
+                         more than these parts of it (Nocedal & Wright 2006, section 3.5)
+    blind_shortening     a refused step whose energy is not finite is shortened to this part
+    shortest_step        stop when a step is refused at less than this part of its length
     """
 
     max_iterations: int = 300
@@ -68,6 +72,24 @@ class LbfgsOptions:
     history: int = 4
     first_step: float = 0.1
     largest_step: float = 2.0
+    sufficient_decrease: float = 1e-4
+    least_curvature: float = 1e-6
+    shortening: tuple[float, float] = (0.1, 0.5)
+    blind_shortening: float = 0.3
+    shortest_step: float = 1e-12
+
+    def __post_init__(self) -> None:
+        for name in ("patience", "history"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"LbfgsOptions.{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("first_step", "largest_step"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"LbfgsOptions.{name} must be positive, not {getattr(self, name)}")
+        for name in ("sufficient_decrease", "blind_shortening"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"LbfgsOptions.{name} must lie between 0 and 1, not {getattr(self, name)}")
+        if not 0 < self.shortening[0] <= self.shortening[1] < 1:
+            raise ValueError(f"LbfgsOptions.shortening must be two rising parts below 1, not {self.shortening}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +105,9 @@ class LbfgsResult:
     status: Tensor
 
 
-_SUFFICIENT_DECREASE = 1e-4
-
-
-# The part of an energy that sums of some thousand terms round off.
-_ROUNDING = 1e-15
-
-
-# Below this part of the slope along a step, the change of slope may be rounding.
-_CURVATURE = 1e-6
+# Finished problems leave together, when they hold this part of all blocks: then carrying them costs more than
+# moving the rest.
+_LEAVING = 1 / 4
 
 
 def minimise(
@@ -106,273 +122,277 @@ def minimise(
     """
     options = options or LbfgsOptions()
     problems = len(objective.block_offsets) - 1
+    numbers = torch.zeros((2, problems), dtype=torch.float64, device=start.device)
+    counts = torch.zeros((3, problems), dtype=torch.int64, device=start.device)
+    result = LbfgsResult(start.clone(), *numbers, *counts)
     rows = torch.arange(problems, device=start.device)
-    final = start.clone()
-    width = block_width(len(start), objective.block_offsets)
-    final_rows = torch.arange(len(start), device=start.device).reshape(-1, width)
-    report = {
-        name: torch.zeros(problems, dtype=dtype, device=start.device)
-        for name, dtype in [("energy", torch.float64), ("gradient", torch.float64), ("iterations", torch.int64),
-                            ("evaluations", torch.int64), ("status", torch.int64)]
-    }  # fmt: skip
-    run = _Run(objective, start, options)
+    block_rows = torch.arange(len(start), device=start.device)
+    block_rows = block_rows.reshape(-1, block_width(len(start), objective.block_offsets))
+    state = _start(objective, start, options)
     iteration = 0
     while True:
-        finished = run.close(iteration >= options.max_iterations)
-        many = 0 if finished is None else int((run.blocks * finished).sum())
-        # Finished problems leave together, when carrying them costs more than moving the rest.
-        if finished is not None and ((everyone := bool(finished.all())) or 4 * many > len(run.x)):
-            leaving = rows[finished]
-            report["energy"][leaving] = (run.energy / run.unit)[finished]
-            report["gradient"][leaving] = (run.slope / run.unit)[finished]
-            report["iterations"][leaving] = run.accepted[finished]
-            report["evaluations"][leaving] = run.evaluations[finished]
-            report["status"][leaving] = run.status[finished]
-            gone = finished.repeat_interleave(run.blocks)
-            final[final_rows[gone]] = run.x[gone]
-            if everyone:
-                break
-            rows, final_rows = rows[~finished], final_rows[~gone]
-            run.select(~finished)
-        run.step(iteration)
+        state, ended = _terminate(state, options, iteration >= options.max_iterations)
+        if ended is not None:
+            everyone = bool(ended.all())
+            if everyone or int((state.blocks.counts * ended).sum()) > _LEAVING * len(state.per_block.x):
+                gone = ended.repeat_interleave(state.blocks.counts)
+                _write(result, rows[ended], block_rows[gone], state, ended, gone)
+                if everyone:
+                    return result
+                rows, block_rows, state = rows[~ended], block_rows[~gone], state.select(~ended)
+        state = _step(state, options, iteration)
         iteration += 1
         if monitor is not None:
-            monitor(iteration, run.energy / run.unit)
-    return LbfgsResult(final, **report)
+            monitor(iteration, state.per_problem.energy / state.per_problem.unit)
 
 
-class _Run:
-    """The state of the problems that are still in the loop: (K, W) vectors and (B,) numbers.
+def _write(result: LbfgsResult, rows: Tensor, block_rows: Tensor, state: "State", ended: Tensor, gone: Tensor) -> None:
+    """Write the problems `ended` (B,) bool, with their blocks `gone` (K,) bool, to those rows of `result`."""
+    each = state.per_problem
+    result.energy[rows] = (each.energy / each.unit)[ended]
+    result.gradient[rows] = (state.history.slope / each.unit)[ended]
+    result.iterations[rows] = each.accepted[ended]
+    result.evaluations[rows] = each.evaluations[ended]
+    result.status[rows] = each.status[ended]
+    result.unknowns[block_rows] = state.per_block.x[gone]
 
-    Vectors are in the precision of the start, numbers in double precision; so that no product of single
-    precision leaves its range, each problem's energy is counted in a unit of its own.
 
-    x, d, t      unknowns, direction in units of `scale`, step
-    past         (K, 2m+1, W) the last m steps s, their m gradient changes y, the gradient g
-    energy       and descent, its slope along d, in units of 1 / unit
-    against      (B, 2m+1) the products of `past` with g: S'g and Y'g by slots, in which pairs replace one another, g'g
-    sy           (B, m) s_i'y_i
-    inverse      (B, m, m) of the triangle of s_i'y_j, i no newer than j, which has `sy` on its diagonal; without the
-                 row and column of the oldest pair it is that of the others
-    yy           (B, m, m) y_i'y_j
-    gamma        (B,) s'y / y'y of the newest pair that counts: the scale of the first Hessian
+# --- the state and its way: start, terminate, step ---
 
-    A pair that does not count, because the step was refused or has no positive curvature, is zero, with a one in `sy`.
+
+class PerBlock(NamedTuple):
+    """(K, W) in the precision of the start; scale and metric stay, the others change with every step.
+
+    x, direction   unknowns, and direction in units of `scale`
+    scale, metric  the objective's scale, and that in units of 1 / unit: the factor of gradients
     """
 
-    def __init__(self, objective: Objective, start: Tensor, options: LbfgsOptions) -> None:
-        self.objective, self.options = objective, options
-        m = options.history
-        width = block_width(len(start), objective.block_offsets)
-        self.scale = objective.scale.reshape(-1, width)
-        self.x = start.reshape(-1, width).clone()
-        energy, gradient, done = objective(start)
-        finite = energy.isfinite()
-        wide = self.scale.to(torch.float64)
-        self._index(counts_from_offsets(objective.block_offsets))
-        self.free = self._sum((wide > 0).to(wide).sum(1)).clamp_min(1)
-        g = torch.where(self._to_blocks(finite), gradient.reshape(-1, width) * wide, 0.0)
-        self.unit = _unit((self._sum((g * g).sum(1)) / self.free).sqrt())
-        self.tiny = (options.gradient_tolerance * self.unit).square() * self.free
-        self.metric = (wide * self._to_blocks(self.unit)).to(start)
-        self.energy = energy.to(torch.float64) * self.unit
-        self.past = start.new_zeros((len(self.x), 2 * m + 1, width))
-        self.past[:, 2 * m] = g * self._to_blocks(self.unit)
-        self.against = self._products()
-        self.sy = torch.ones_like(self.against[:, :m])
-        self.inverse = torch.diag_embed(self.sy)
-        self.yy = torch.zeros_like(self.inverse)
-        self.status = torch.where(finite, Status.RUNNING, Status.NOT_FINITE)
-        if done is not None:
-            self.status = self.status.masked_fill(finite & done, Status.VALID)
-        self.accepted = torch.zeros_like(self.status)
-        self.evaluations = torch.ones_like(self.status)
-        self.recent = self.energy.repeat(options.patience, 1)
-        self.gamma = self._first_step()
-        self.d, self.descent = self._direction(torch.zeros_like(self.against[:, : 2 * m]))
-        self.t = self._whole_step()
+    x: Tensor
+    direction: Tensor
+    scale: Tensor
+    metric: Tensor
 
-    @property
-    def slope(self) -> Tensor:
-        """(B,) root mean square of the scaled gradient, in units of 1 / unit."""
-        return (self.gg / self.free).sqrt()
 
-    @property
-    def gg(self) -> Tensor:
-        """(B,) g'g."""
-        return self.against[:, -1]
+class PerProblem(NamedTuple):
+    """(B,) in double precision or int64.
 
-    def select(self, keep: Tensor) -> None:
-        """Go on with some of the problems only."""
-        of_blocks = self._to_blocks(keep).squeeze(1)
-        self.objective = self.objective.select(keep)
-        for name in ("x", "d", "scale", "metric", "past"):
-            setattr(self, name, getattr(self, name)[of_blocks])
-        for name in ("energy", "unit", "sy", "inverse", "yy", "against", "gamma", "free", "tiny", "status",
-                     "accepted", "evaluations", "t", "descent"):  # fmt: skip
-            setattr(self, name, getattr(self, name)[keep])
-        self.recent = self.recent[:, keep]
-        self._index(self.blocks[keep])
+    energy       and descent, its slope along the direction, in units of 1 / unit
+    length       of the step to try next, in units of the direction
+    recent       (B, patience) energies before the last accepted steps, the oldest first
+    status, accepted, evaluations  as in `LbfgsResult`
+    unit         a power of two, so that no product of gradients leaves the range of single precision
+    small        a problem has converged where g'g is no larger
+    """
 
-    def close(self, out_of_iterations: bool) -> Tensor | None:
-        """(B,) bool: the problems at the end of their run, whose status is set; None: there are none."""
-        settled = (self.accepted >= self.options.patience) & (
-            self.recent[0] - self.energy <= self.options.energy_tolerance * self.energy.abs()
+    energy: Tensor
+    descent: Tensor
+    length: Tensor
+    recent: Tensor
+    status: Tensor
+    accepted: Tensor
+    evaluations: Tensor
+    unit: Tensor
+    small: Tensor
+
+
+class State(NamedTuple):
+    """The problems that are still in the loop.  A step makes another one, and writes only in the history."""
+
+    objective: Objective
+    blocks: Blocks
+    per_block: PerBlock
+    per_problem: PerProblem
+    history: History
+
+    def select(self, keep: Tensor) -> "State":
+        """Only the problems `keep` (B,) bool."""
+        rows = self.blocks.spread(keep).squeeze(1)
+        blocks = Blocks.of(self.blocks.counts[keep])
+        return State(
+            self.objective.select(keep),
+            blocks,
+            PerBlock(*(v[rows] for v in self.per_block)),
+            PerProblem(*(v[keep] for v in self.per_problem)),
+            self.history.select(keep, rows, blocks),
         )
-        small = self.gg <= self.tiny
-        stuck = self.t < 1e-12
-        ended = settled | small | stuck | (self.status != Status.RUNNING)
-        if not out_of_iterations and not bool(ended.any()):
-            return None
-        status = torch.full_like(self.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
-        for hit, ending in ((stuck, Status.STALLED), (settled, Status.SETTLED), (small, Status.CONVERGED)):
-            status = torch.where(hit, ending, status)
-        self.status = torch.where(self.status == Status.RUNNING, status, self.status)
-        return self.status != Status.RUNNING
 
-    def step(self, iteration: int) -> None:
-        """Try one step of every problem; accept it or shorten it."""
-        running = self.status == Status.RUNNING
-        m = self.options.history
-        slot = iteration % m
-        move = self.past[:, slot]
-        torch.mul(self.d, self._to_blocks(self.t).to(self.d), out=move)
-        x = torch.addcmul(self.x, move, self.scale)
-        energy, gradient, done = self.objective(x.reshape(-1))
-        energy = energy * self.unit
-        gradient = gradient.reshape(self.x.shape) * self.metric
-        change = energy - self.energy
-        slope = self.t * self.descent
-        possible = running & (change > -torch.inf)
-        good = possible & (change <= _SUFFICIENT_DECREASE * slope)
-        everyone = bool(good.all())
-        if not everyone:
-            # So near the minimum that rounding hides the descent, a smaller gradient tells of it.
-            flatter = self._sum((gradient * gradient).sum(1).to(energy)) < self.gg
-            good |= possible & (change <= _ROUNDING * self.energy.abs()) & flatter
-        if everyone:
-            self.x = x
-            self._advance(slot, gradient, slope, good)
-            self.t = self._whole_step()
-            self.recent = torch.cat([self.recent[1:], self.energy[None]])
-            self.energy = energy
-        else:
-            # A problem whose step was refused stays where it is; its pair of this slot is void.
-            stay = (~good).index_select(0, self.owner).nonzero().squeeze(1)
-            direction, descent = self.d[stay], self.descent
-            x[stay], gradient[stay] = self.x[stay], self.past[stay, 2 * m]
-            move.index_fill_(0, stay, 0.0)
-            self.x = x
-            self._advance(slot, gradient, slope, good)
-            self.d[stay] = direction
-            self.descent = torch.where(good, self.descent, descent)
-            # The minimum of the parabola through the refused step, within bounds.
-            fit = -0.5 * self.descent * self.t / (change / self.t - self.descent)
-            shorter = torch.where(change.isfinite(), fit.clamp(0.1 * self.t, 0.5 * self.t), 0.3 * self.t)
-            self.t = torch.where(good, self._whole_step(), torch.where(running, shorter, self.t))
-            self.recent = torch.where(good, torch.cat([self.recent[1:], self.energy[None]]), self.recent)
-            self.energy = torch.where(good, energy, self.energy)
-        self.accepted += good
-        self.evaluations += running
-        if done is not None:
-            self.status = self.status.masked_fill(good & done, Status.VALID)
 
-    def _advance(self, slot: int, gradient: Tensor, slope: Tensor, good: Tensor) -> None:
-        """Take the gradient at the new point, with its pair in `slot`, and find the direction from there.
+def _start(objective: Objective, start: Tensor, options: LbfgsOptions) -> State:
+    """The state at `start` (N,), with the direction of steepest descent."""
+    blocks = Blocks.of(counts_from_offsets(objective.block_offsets))
+    scale = objective.scale.reshape(-1, block_width(len(start), objective.block_offsets))
+    wide = scale.to(torch.float64)
+    energy, gradient, done = objective(start)
+    finite = energy.isfinite()
+    free = blocks.sum((wide > 0).to(wide).sum(1)).clamp_min(1)
+    g = torch.where(blocks.spread(finite), gradient.reshape(scale.shape) * wide, 0.0)
+    unit = _unit((blocks.sum((g * g).sum(1)) / free).sqrt())
+    energy = energy.to(torch.float64) * unit
+    status = torch.where(finite, Status.RUNNING, Status.NOT_FINITE)
+    if done is not None:
+        status = status.masked_fill(finite & done, Status.VALID)
+    gradient = (g * blocks.spread(unit)).to(start)
+    history = History.start(blocks, free, gradient, options.history, options.first_step)
+    direction, descent = history.direction()
+    return State(
+        objective,
+        blocks,
+        PerBlock(start.reshape(scale.shape).clone(), direction, scale, (wide * blocks.spread(unit)).to(start)),
+        PerProblem(
+            energy=energy,
+            descent=descent,
+            length=_whole_step(direction, blocks, options),
+            recent=energy.repeat(options.patience, 1).T,
+            status=status,
+            accepted=torch.zeros_like(status),
+            evaluations=torch.ones_like(status),
+            unit=unit,
+            small=(options.gradient_tolerance * unit).square() * free,
+        ),
+        history,
+    )
 
-        The products with g are read off the history once; the products with the new pair follow from
-        them and from those at the old point, since y = g_new - g_old; slope (B,) is s'g_old.
-        """
-        m = self.options.history
-        torch.sub(gradient, self.past[:, 2 * m], out=self.past[:, m + slot])
-        self.past[:, 2 * m] = gradient
-        before, self.against = self.against, self._products()
-        change = self.against - before
-        # As |g|^2 - |g - y|^2 is 2 y'g - y'y.
-        sy, yy = self.against[:, slot] - slope, 2 * self.against[:, m + slot] - change[:, -1]
-        curved = good & (sy > -_CURVATURE * slope) & (yy > 0)
-        if bool(curved.all()):
-            self.gamma = sy / yy
-        else:
-            sy, yy = torch.where(curved, sy, 1.0), torch.where(curved, yy, 0.0)
-            self._drop(curved, [slot, m + slot])
-            change = torch.where(curved[:, None], change, 0.0)
-            self.yy[:, slot, slot] = 0.0
-            old = (self.yy.diagonal(dim1=1, dim2=2) > 0).any(1)
-            self.gamma = torch.where(curved, sy / yy, torch.where(old, self.gamma, self._first_step()))
-        self._pair(slot, change[:, : 2 * m].view(-1, 2, m), sy, yy)
-        self.d, self.descent = self._direction(self._recursion())
-        downhill = self.descent < 0
-        if not bool(downhill.all()) and bool((good & ~downhill).any()):
-            self._forget(good & ~downhill)
-            self.d, self.descent = self._direction(self._recursion())
 
-    def _pair(self, slot: int, new: Tensor, sy: Tensor, yy: Tensor) -> None:
-        """The oldest pair goes, the newest comes in its `slot`.
+def _terminate(state: State, options: LbfgsOptions, out_of_iterations: bool) -> tuple[State, Tensor | None]:
+    """The state with the status of problems that end here, and (B,) bool which have ended; None: none has."""
+    each = state.per_problem
+    settled = (each.accepted >= options.patience) & (
+        each.recent[:, 0] - each.energy <= options.energy_tolerance * each.energy.abs()
+    )
+    small = state.history.square <= each.small
+    stuck = each.length < options.shortest_step
+    ended = settled | small | stuck | (each.status != Status.RUNNING)
+    if not out_of_iterations and not bool(ended.any()):
+        return state, None
+    why = torch.full_like(each.status, Status.ITERATION_LIMIT if out_of_iterations else Status.RUNNING)
+    for hit, ending in ((stuck, Status.STALLED), (settled, Status.SETTLED), (small, Status.CONVERGED)):
+        why = torch.where(hit, ending, why)
+    status = torch.where(each.status == Status.RUNNING, why, each.status)
+    return state._replace(per_problem=each._replace(status=status)), status != Status.RUNNING
 
-        new  (B, 2, m) the products of its y with all s and y;  sy, yy (B,) with its own
-        """
-        new[:, 0, slot], new[:, 1, slot] = 0.0, yy
-        self.inverse[:, slot] = 0.0
-        self.inverse[:, :, slot] = _batched(new[:, :1], self.inverse.mT).squeeze(1) / -sy[:, None]
-        self.inverse[:, slot, slot] = sy.reciprocal()
-        self.yy[:, slot] = self.yy[:, :, slot] = new[:, 1]
-        self.sy[:, slot] = sy
 
-    def _drop(self, keep: Tensor, slots: list[int]) -> None:
-        """Make the vectors in `slots` zero where `keep` (B,) is false."""
-        gone = (~keep).index_select(0, self.owner).nonzero().squeeze(1)
-        for i in slots:
-            self.past[:, i].index_fill_(0, gone, 0.0)
-            self.against[:, i].masked_fill_(~keep, 0.0)
+def _step(state: State, options: LbfgsOptions, iteration: int) -> State:
+    """Try one step of every problem; accept it or shorten it."""
+    slot = iteration % options.history
+    trial = _try(state, slot)
+    running = state.per_problem.status == Status.RUNNING
+    possible = running & (trial.change > -torch.inf)
+    good = possible & (trial.change <= options.sufficient_decrease * trial.slope)
+    if bool(good.all()):
+        state = _all_accept(state, options, slot, trial, good)
+    else:
+        good |= possible & _flatter(state, trial)
+        state = _some_accept(state, options, slot, trial, good, running)
+    each = state.per_problem
+    status = each.status if trial.done is None else each.status.masked_fill(good & trial.done, Status.VALID)
+    each = each._replace(status=status, accepted=each.accepted + good, evaluations=each.evaluations + running)
+    return state._replace(per_problem=each)
 
-    def _forget(self, lost: Tensor) -> None:
-        """Drop the pairs of the problems `lost` (B,) bool."""
-        self._drop(~lost, list(range(2 * self.options.history)))
-        self.gamma = torch.where(lost, self._first_step(), self.gamma)
-        self.sy = torch.where(lost[:, None], 1.0, self.sy)
-        self.inverse = torch.where(lost[:, None, None], torch.diag_embed(torch.ones_like(self.sy)), self.inverse)
-        self.yy = torch.where(lost[:, None, None], 0.0, self.yy)
 
-    def _recursion(self) -> Tensor:
-        """(B, 2m) the weights of H g = gamma g + S a + Y b; Byrd, Nocedal & Schnabel 1994, equation 3.1."""
-        m = self.options.history
-        sg, yg = self.against[:, None, :m], self.against[:, None, m : 2 * m]
-        gamma = self.gamma[:, None, None]
-        w = _batched(sg, self.inverse.mT)
-        a = _batched(self.sy[:, None] * w + gamma * (_batched(w, self.yy) - yg), self.inverse)
-        return torch.cat([a, -gamma * w], 2).squeeze(1)
+class _Trial(NamedTuple):
+    """What a step of every problem leads to.
 
-    def _direction(self, weights: Tensor) -> tuple[Tensor, Tensor]:
-        """(K, BLOCK) minus H g, of the `weights` (B, 2m) of the pairs; and (B,) the slope along it."""
-        weights = -torch.cat([weights, self.gamma[:, None]], 1)
-        row = weights.to(self.past).index_select(0, self.owner)
-        return _batched(row[:, None], self.past).squeeze(1), (weights * self.against).sum(1)
+    x         (K, W) the unknowns there
+    gradient  (K, W) in the metric, and (B,) the energy, both in units of 1 / unit;  done (B,) of the objective
+    change    (B,) of the energy;  slope (B,) what the slope at the old point promises
+    """
 
-    def _products(self) -> Tensor:
-        """(B, 2m+1) of all that is in `past` with g."""
-        return self._sum(_batched(self.past[:, -1:], self.past.mT).squeeze(1).to(self.unit))
+    x: Tensor
+    energy: Tensor
+    gradient: Tensor
+    done: Tensor | None
+    change: Tensor
+    slope: Tensor
 
-    def _first_step(self) -> Tensor:
-        """(B,) factor of the gradient for a step without history."""
-        return self.options.first_step / self.slope.clamp_min(1e-300)
 
-    def _whole_step(self) -> Tensor:
-        """(B,) one, shortened so that no unknown moves further along d than allowed."""
-        longest = torch.segment_reduce(self.d.abs().amax(1), "max", offsets=self.offsets, initial=0.0)
-        largest = self.options.largest_step
-        return largest / longest.to(self.unit).clamp_min(largest)
+def _try(state: State, slot: int) -> _Trial:
+    """Take the step in every problem, and write it to its slot of the history."""
+    objective, blocks, at, each, history = state
+    move = history.step(slot)
+    torch.mul(at.direction, blocks.spread(each.length).to(at.direction), out=move)
+    x = torch.addcmul(at.x, move, at.scale)
+    energy, gradient, done = objective(x.reshape(-1))
+    energy = energy * each.unit
+    gradient = gradient.reshape(x.shape) * at.metric
+    return _Trial(x, energy, gradient, done, energy - each.energy, each.length * each.descent)
 
-    def _index(self, blocks: Tensor) -> None:
-        self.blocks = blocks
-        self.offsets = offsets_from_counts(blocks)
-        self.owner = torch.arange(len(blocks), device=blocks.device).repeat_interleave(blocks)
 
-    def _to_blocks(self, per_problem: Tensor) -> Tensor:
-        return per_problem.index_select(0, self.owner)[:, None]
+# The part of an energy that is lost to rounding in sums of some thousand terms.
+_ROUNDING = 1e-15
 
-    def _sum(self, per_block: Tensor) -> Tensor:
-        return torch.segment_reduce(per_block, "sum", offsets=self.offsets, axis=0, initial=0.0)
+
+def _flatter(state: State, trial: _Trial) -> Tensor:
+    """(B,) bool: the energy is the same up to rounding, and the gradient smaller.
+
+    So near to the minimum that rounding hides the descent, a smaller gradient shows it.
+    """
+    same = trial.change <= _ROUNDING * state.per_problem.energy.abs()
+    square = state.blocks.sum((trial.gradient * trial.gradient).sum(1).to(trial.energy))
+    return same & (square < state.history.square)
+
+
+def _all_accept(state: State, options: LbfgsOptions, slot: int, trial: _Trial, good: Tensor) -> State:
+    """Every problem goes to its trial point, `good` (B,) being true of all."""
+    at, each = state.per_block, state.per_problem
+    direction, descent = _advance(state.history, options, slot, trial, good)
+    return state._replace(
+        per_block=PerBlock(trial.x, direction, at.scale, at.metric),
+        per_problem=each._replace(
+            energy=trial.energy,
+            descent=descent,
+            length=_whole_step(direction, state.blocks, options),
+            recent=torch.cat([each.recent[:, 1:], each.energy[:, None]], 1),
+        ),
+    )
+
+
+def _some_accept(state: State, options: LbfgsOptions, slot: int, trial: _Trial, good: Tensor, running: Tensor) -> State:
+    """The problems `good` (B,) bool go to their trial points; of the others those `running` shorten their step.
+
+    A problem whose step was refused stays where it is, with its direction, and its pair of this slot is void.
+    """
+    _, blocks, at, each, history = state
+    stay = blocks.rows(~good)
+    old = at.direction[stay]
+    trial.x[stay], trial.gradient[stay] = at.x[stay], history.gradient[stay]
+    history.step(slot).index_fill_(0, stay, 0.0)
+    direction, descent = _advance(history, options, slot, trial, good)
+    direction[stay] = old
+    length = torch.where(running, _shortened(each, trial.change, options), each.length)
+    return state._replace(
+        per_block=PerBlock(trial.x, direction, at.scale, at.metric),
+        per_problem=each._replace(
+            energy=torch.where(good, trial.energy, each.energy),
+            descent=torch.where(good, descent, each.descent),
+            length=torch.where(good, _whole_step(direction, blocks, options), length),
+            recent=torch.where(good[:, None], torch.cat([each.recent[:, 1:], each.energy[:, None]], 1), each.recent),
+        ),
+    )
+
+
+def _advance(history: History, options: LbfgsOptions, slot: int, trial: _Trial, good: Tensor) -> tuple[Tensor, Tensor]:
+    """Take the trial's gradient and its pair into the history; the direction (K, W) from there, the slope along it."""
+    history.take(slot, trial.gradient, trial.slope, good, options.least_curvature)
+    direction, descent = history.direction()
+    downhill = descent < 0
+    if not bool(downhill.all()) and bool((good & ~downhill).any()):
+        history.forget(good & ~downhill)
+        direction, descent = history.direction()
+    return direction, descent
+
+
+def _shortened(each: PerProblem, change: Tensor, options: LbfgsOptions) -> Tensor:
+    """(B,) the next length after a refused step that changed the energy by `change`: a parabola's minimum, bounded."""
+    least, most = options.shortening
+    fit = -0.5 * each.descent * each.length / (change / each.length - each.descent)
+    within = fit.clamp(least * each.length, most * each.length)
+    return torch.where(change.isfinite(), within, options.blind_shortening * each.length)
+
+
+def _whole_step(direction: Tensor, blocks: Blocks, options: LbfgsOptions) -> Tensor:
+    """(B,) one, shortened so that no unknown moves further along the direction (K, W) than allowed."""
+    longest = blocks.largest(direction.abs().amax(1)).to(torch.float64)
+    return options.largest_step / longest.clamp_min(options.largest_step)
 
 
 def _unit(slope: Tensor) -> Tensor:
@@ -382,13 +402,3 @@ def _unit(slope: Tensor) -> Tensor:
     """
     exponent = (30 - torch.frexp(slope).exponent).clamp(-90, 90)
     return torch.where(slope > 0, torch.ldexp(torch.ones_like(slope), exponent), 1.0)
-
-
-def _batched(left: Tensor, right: Tensor) -> Tensor:
-    """`torch.bmm` with the same bits for a matrix alone as among others: a batch of one goes another way in torch.
-
-    A row times matrices, never matrices times a column: that way is four times slower.
-    """
-    if len(left) != 1:
-        return torch.bmm(left, right)
-    return torch.bmm(left.expand(2, -1, -1), right.expand(2, -1, -1))[:1]

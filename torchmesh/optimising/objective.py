@@ -21,9 +21,9 @@ from ..mesh.ragged import (
 )
 from ..mesh.units import centre_and_unit
 from .assembly import Chunk, chunk_offsets, chunks_of, energy_and_forces
+from .blocks import BLOCK, block_width
 from .energies import Energy
 from .jacobian import EdgeMap, Target, select_rows
-from .lbfgs import BLOCK, block_width
 
 
 @dataclass(frozen=True, eq=False)

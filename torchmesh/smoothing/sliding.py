@@ -17,7 +17,7 @@ from ..mesh.curves import BoundaryCurves, fit_curves
 from ..mesh.measure import upright
 from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_max, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
-from ..optimising.lbfgs import BLOCK
+from ..optimising.blocks import BLOCK
 from ..optimising.objective import MeshObjective, Packing
 from ..triangulating.crossings import crossing_pairs
 

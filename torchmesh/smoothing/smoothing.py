@@ -9,9 +9,10 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
+from ..optimising.blocks import BLOCK
 from ..optimising.energies import InverseMeanRatio
 from ..optimising.jacobian import equilateral
-from ..optimising.lbfgs import BLOCK, LbfgsOptions, minimise
+from ..optimising.lbfgs import LbfgsOptions, minimise
 from ..optimising.objective import MeshObjective, pack
 from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check
 from ..status import Status

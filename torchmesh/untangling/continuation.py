@@ -8,9 +8,10 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segment_min, spread
+from ..optimising.blocks import BLOCK
 from ..optimising.energies import Regularised
 from ..optimising.jacobian import Target, select_rows
-from ..optimising.lbfgs import BLOCK, LbfgsOptions, minimise
+from ..optimising.lbfgs import LbfgsOptions, minimise
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing
 from ..status import Status
