@@ -17,11 +17,11 @@ from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
 from ..optimising.assembly import chunk_offsets, chunks_of, energy_and_forces
+from ..optimising.blocks import BLOCK
 from ..optimising.conjugate_gradients import solve
 from ..optimising.energies import InverseMeanRatio
 from ..optimising.hessian import Hessian
 from ..optimising.jacobian import equilateral
-from ..optimising.blocks import BLOCK
 from ..optimising.objective import Packing, pack
 from ..smoothing.smoothing import SmoothOptions
 from ..untangling.options import UntangleOptions
