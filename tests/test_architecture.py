@@ -102,6 +102,17 @@ def test_only_folders_lie_at_the_top():
     assert {p.stem for p in PACKAGE.glob("*.py")} == {"__init__", "__main__", "errors", "status"}
 
 
+def test_the_test_modules_that_are_said_to_be_slow_exist():
+    folder = Path(__file__).parent
+    lists = [
+        ast.literal_eval(node.value)
+        for node in ast.parse((folder / "conftest.py").read_text()).body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SLOW"
+    ]
+    assert len(lists) == 1
+    assert [name for name in lists[0] if not (folder / name).exists()] == []
+
+
 def test_the_reader_of_imports_sees_them():
     assert {"mesh.connectivity", "errors", "mesh.ragged", "mesh.validation"} <= imports_of("mesh.batch")
     assert "commands.main" in imports_of("__main__")
