@@ -15,7 +15,8 @@ from torch import Tensor
 import torchmesh as tm
 from torchmesh import ImproveOptions, MeshBatch, improve, join, quality
 from torchmesh.improving import forked
-from torchmesh.improving.local_repair import Submeshes, damaged_submeshes, neighbourhood
+from torchmesh.improving.local_repair import Submeshes, damaged_submeshes
+from torchmesh.improving.neighbourhood import neighbourhood
 from torchmesh.improving.options import LocalRepair
 from torchmesh.improving.runner import Log
 from torchmesh.improving.state import State
@@ -155,7 +156,7 @@ def test_the_neighbourhood_is_what_a_walk_by_sets_finds(kind, picks, rings, thro
     place = neighbourhood(points, mesh.triangles, damage, rings)
     vertices, rim, taken, across = slow_neighbourhood(mesh.triangles, damage.tolist(), rings)
     assert place.vertices.tolist() == sorted(vertices)
-    assert place.vertices[place.rim].tolist() == sorted(rim)
+    assert place.vertices[place.shared].tolist() == sorted(rim)
     assert place.triangles.tolist() == taken
     assert {frozenset(edge) for edge in place.across.tolist()} == across
 
@@ -189,7 +190,7 @@ def test_the_bound_of_large_is_as_documented():
     batch = tangled(patch(101, 101), (20.0, 40.0), radius=1.5)
     found = cut(batch)
     assert found is not None
-    assert len(found.part.triangles) < 0.05 * len(batch.triangles)
+    assert len(found.taken.mesh.triangles) < 0.05 * len(batch.triangles)
 
 
 @pytest.mark.parametrize(
@@ -226,16 +227,16 @@ def test_it_is_the_submesh_alone_put_back(topology):
     mesh = tangled(patch(), MIDDLE)
     found = cut(mesh)
     # By hand: `from_arrays` finds the rim by itself, as the boundary of the part.
-    used, local = np.unique(mesh.triangles[found.triangles].numpy(), return_inverse=True)
+    used, local = np.unique(mesh.triangles[found.taken.triangles].numpy(), return_inverse=True)
     alone = MeshBatch.from_arrays(mesh.points[used], local.reshape(-1, 3), mesh.fixed[used])
     # It would wind mirrored pieces otherwise; this one is not.
     assert torch.equal(alone.triangles, torch.from_numpy(local.reshape(-1, 3)))
-    assert torch.equal(alone.fixed, found.part.fixed)
+    assert torch.equal(alone.fixed, found.taken.mesh.fixed)
     its, its_report = improve(alone, options)
     after, report = improve(mesh, options)
     rows = torch.from_numpy(used)
     assert torch.equal(after.points[rows], its.points)
-    assert torch.equal(after.triangles[found.triangles], rows[its.triangles])
+    assert torch.equal(after.triangles[found.taken.triangles], rows[its.triangles])
     outside = torch.ones(len(mesh.points), dtype=torch.bool).index_fill_(0, rows, False)
     assert torch.equal(after.points[outside], mesh.points[outside])
     assert [s for s in stages(report) if s != "submesh"] == stages(its_report)
@@ -274,12 +275,12 @@ def test_what_is_fixed_or_constrained_stays_in_the_submesh_and_elsewhere():
     place = tuple(float(v) for v in mesh.points[index[25, 18]])
     mesh = tangled(mesh, place, radius=2.5)
     found = cut(mesh)
-    part = found.part
-    mine = {tuple(sorted(edge)) for edge in found.vertices[part.constrained_edges].tolist()}
-    inner = {pair for pair, count in edge_counts(mesh.triangles[found.triangles]).items() if count == 2}
+    part = found.taken.mesh
+    mine = {tuple(sorted(edge)) for edge in found.taken.vertices[part.constrained_edges].tolist()}
+    inner = {pair for pair, count in edge_counts(mesh.triangles[found.taken.triangles]).items() if count == 2}
     assert mine == {tuple(sorted(e)) for e in mesh.constrained_edges.tolist() if frozenset(e) in inner}
     assert 0 < len(mine) < 50
-    assert bool(part.fixed[(found.vertices == lone).nonzero()])
+    assert bool(part.fixed[(found.taken.vertices == lone).nonzero()])
     after, report = improve(mesh)
     assert "submesh" in stages(report)
     assert "whole" not in stages(report)
@@ -290,13 +291,13 @@ def test_what_is_fixed_or_constrained_stays_in_the_submesh_and_elsewhere():
 def test_constrained_edges_on_the_boundary_are_no_business_of_the_submesh():
     mesh = tangled(patch(), MIDDLE)
     found = cut(mesh)
-    once = [sorted(pair) for pair, count in edge_counts(found.part.triangles).items() if count == 1]
-    rim = found.vertices[torch.tensor(once)]
+    once = [sorted(pair) for pair, count in edge_counts(found.taken.mesh.triangles).items() if count == 1]
+    rim = found.taken.vertices[torch.tensor(once)]
     held = MeshBatch.from_arrays(patch().points, mesh.triangles, constrained_edges=rim).with_points(mesh.points)
     again = cut(held)
-    assert torch.equal(again.triangles, found.triangles)
+    assert torch.equal(again.taken.triangles, found.taken.triangles)
     assert len(held.constrained_edges) == len(rim)
-    assert len(again.part.constrained_edges) == 0
+    assert len(again.taken.mesh.constrained_edges) == 0
     after, report = improve(held)
     assert_sound(held, after, report)
 
@@ -306,7 +307,7 @@ def test_a_tangle_at_the_boundary():
     mesh = tangled(patch(), RIM, radius=3.0)
     after, report = improve(mesh)
     found = cut(mesh)
-    own = {frozenset(edge) for edge in found.vertices[found.part.triangles[:, [0, 1]]].tolist()}
+    own = {frozenset(edge) for edge in found.taken.vertices[found.taken.mesh.triangles[:, [0, 1]]].tolist()}
     assert own & {frozenset(edge) for edge in boundary(mesh.triangles)}
     assert "submesh" in stages(report)
     assert "whole" not in stages(report)
@@ -316,7 +317,7 @@ def test_a_tangle_at_the_boundary():
 @pytest.mark.usefixtures("low")
 def test_two_tangles_far_apart_are_one_submesh_of_two_components():
     mesh = tangled(patch(), LEFT, RIGHT, radius=1.2)
-    part = cut(mesh).part
+    part = cut(mesh).taken.mesh
     twin = connectivity.twins(part.triangles)
     assert len(connectivity.triangle_components(part.triangles, twin).unique()) == 2
     after, report = improve(mesh)
@@ -474,11 +475,11 @@ def test_a_mesh_that_cannot_be_valid_is_told_the_reason_for_the_whole():
 def test_an_edge_that_the_outside_has_already_is_no_edge_inside():
     mesh = tangled(patch(), MIDDLE)
     found = cut(mesh)
-    done = improve_batch(State.of(found.part, WHOLE), Log(1), WHOLE)
+    done = improve_batch(State.of(found.taken.mesh, WHOLE), Log(1), WHOLE)
     part = done.mesh
     assert found.well_done(done).tolist() == [True]
     inner = connectivity.edges(part.triangles, connectivity.twins(part.triangles))
-    inner = found.vertices[inner[~part.fixed[inner].any(1)][:1]]
+    inner = found.taken.vertices[inner[~part.fixed[inner].any(1)][:1]]
     taken = connectivity.edge_keys(inner[:, 0], inner[:, 1], len(mesh.points))
     clashing = dataclasses.replace(found, across=torch.cat([found.across, taken]))
     assert clashing.well_done(done).tolist() == [False]
@@ -528,14 +529,14 @@ def test_pasting_what_was_cut_changes_nothing():
     batch = join(assorted())
     found = cut(batch)
     assert found.cut.tolist() == [False, True, False, False, True, True]
-    again = found.paste(found.part)
+    again = found.paste(found.taken.mesh)
     assert_same_rows(again, batch)
     others = ~found.cut
-    kept, given = found.part.select(others), batch.select(others)
+    kept, given = found.taken.mesh.select(others), batch.select(others)
     for name in ("points", "triangles", "fixed", "constrained_edges", "point_offsets", "triangle_offsets"):
         assert torch.equal(getattr(kept, name), getattr(given, name)), name
     # As one moves part of a batch by hand.
-    moved = found.part.with_points(found.part.points + 1.0)
+    moved = found.taken.mesh.with_points(found.taken.mesh.points + 1.0)
     assert torch.equal(
         put(batch, others, moved.select(others)).select(others).points, found.paste(moved).select(others).points
     )
