@@ -181,3 +181,10 @@ TANGLED: dict[str, Callable[[], MeshBatch]] = {
     "moved hole": moved_hole,
     "interface": dragged_interface,
 }
+
+
+def crowded_square(cells: int = 14) -> MeshBatch:
+    """A square whose inner columns are pressed to the left: crowded there, empty on the right."""
+    mesh = grid(cells, cells)
+    pressed = torch.stack([mesh.points[:, 0] ** 2.5, mesh.points[:, 1]], 1)
+    return mesh.with_points(torch.where(mesh.fixed[:, None], mesh.points, pressed))

@@ -12,9 +12,10 @@ from scipy.spatial import Delaunay
 from torchmesh import ImproveOptions, MeshBatch, RemeshOptions, Status, improve, join
 from torchmesh.mesh.connectivity import boundary_edges, euler_number, twins
 from torchmesh.mesh.vertex_map import Names
-from torchmesh.remeshing.remeshing import Remeshing, editable, rebuilt
 from torchmesh.remeshing.sizing import size_field
-from torchmesh.remeshing.vertex_removal import collapse_round, fallen, untangle_by_surgery
+from torchmesh.remeshing.state import RemeshState, editable, rebuilt
+from torchmesh.remeshing.vertex_removal import collapse_round, remove_vertices
+from torchmesh.remeshing.vertex_removal import inverted as inverted_triangles
 
 # Where neighbouring float64 numbers are 1 apart.
 FAR = 2.0**52
@@ -104,12 +105,13 @@ def test_sizes_of_the_user_go_with_their_vertices():
 @pytest.mark.parametrize("name", list(meshes.TANGLED))
 def test_a_round_of_collapses_leaves_a_mesh_of_the_same_frame(name):
     mesh = meshes.TANGLED[name]()
-    names = Names(len(mesh.points), mesh.points.device)
-    e = editable(mesh, size_field(mesh, "keep"), names, names.of)
-    before = int(fallen(e).sum())
+    state = RemeshState.begin(mesh, size_field(mesh, "keep"))
+    e = editable(state)
+    before = int(inverted_triangles(e).sum())
     assert before == inverted(mesh)
     taken = collapse_round(e)
-    after, _, old = rebuilt(mesh, e)
+    state = rebuilt(state, e)
+    after, old = state.batch, state.names.of
     assert taken.item() > 0
     assert len(after.points) == len(mesh.points) - taken.item()
     assert len(after.triangles) == len(mesh.triangles) - 2 * taken.item()
@@ -129,6 +131,19 @@ def test_a_mesh_of_fixed_vertices_only_ends():
     mesh = meshes.grid(1, 1)
     points = mesh.points.clone()
     points[2] = torch.tensor([-0.5, 0.2])
-    work = Remeshing(mesh.with_points(points), RemeshOptions())
-    assert untangle_by_surgery(work, torch.tensor([True])).shape == (1,)
-    assert work.collapses.tolist() == [0]
+    mesh = mesh.with_points(points)
+    after, removed = remove_vertices(mesh, RemeshOptions())
+    assert (removed.cavities.tolist(), removed.collapses.tolist()) == ([0], [0])
+    assert removed.kept.tolist() == list(range(len(points)))
+    assert torch.equal(after.points, mesh.points)
+
+
+def test_what_is_left_keeps_its_names_and_its_sizes():
+    mesh = crowded(4, 12)
+    names = Names.of_rows(2 * len(mesh.points), mesh.points.device).select(torch.arange(len(mesh.points)) * 2)
+    after, removed = remove_vertices(mesh, RemeshOptions(), names)
+    assert inverted(after) == 0
+    assert int(removed.collapses) == len(mesh.points) - len(after.points) > 0
+    assert removed.names.of.tolist() == (2 * removed.kept).tolist()
+    assert torch.equal(removed.size, size_field(mesh, "keep")[removed.kept])
+    assert bool(torch.isin(mesh.fixed.nonzero().squeeze(1), removed.kept).all())

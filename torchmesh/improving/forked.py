@@ -75,7 +75,7 @@ def in_processes(job: Job, workers: int) -> Job:
         # What one mesh of many needs is imported here once, and not by every process of every call.
         import shapely  # noqa: F401
 
-        from ..remeshing import condensation  # noqa: F401
+        from ..remeshing import relocation  # noqa: F401
         from ..untangling import retriangulation  # noqa: F401
 
         def task(i: int) -> Shard:

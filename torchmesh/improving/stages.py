@@ -13,13 +13,14 @@ used: averaging, re-triangulation, sliding, relocation, remeshing.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch
 from ..mesh.neighbourhoods import touching
+from ..mesh.vertex_map import Names
 from ..optimising.metric_field import MetricField
 from ..optimising.moves import Monitor
 from ..remeshing.options import RemeshOptions
@@ -31,9 +32,6 @@ from ..untangling.options import UntangleOptions
 from ..warping.femwarp import femwarp
 from .runner import Stage, Work
 from .state import Edits, State
-
-if TYPE_CHECKING:
-    from ..remeshing.remeshing import Remeshing
 
 
 def flip(options: FlipOptions) -> Stage:
@@ -116,16 +114,11 @@ def relocate(options: RemeshOptions, keep_sizes: bool) -> Stage:
 
     keep_sizes  whether the sizes, as they have travelled with the vertices, are kept for the report
     """
-    from ..remeshing.condensation import gather
-    from ..remeshing.relocation import Relocation
+    from ..remeshing import relocation
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        work = Relocation(state.mesh, sized(options, state))
-        work.improve(torch.ones_like(state.valid))
-        mesh, flips = gather(work.batch, work.options)
-        return replace(state.at(mesh), sizes=work.size if keep_sizes else None), Work.done(
-            state, flips=work.flips + flips
-        )
+        mesh, info = relocation.relocate(state.mesh, sized(options, state))
+        return replace(state.at(mesh), sizes=info.size if keep_sizes else None), Work.done(state, flips=info.flips)
 
     return stage
 
@@ -142,27 +135,25 @@ def polish(options: polishing.PolishOptions) -> Stage:
 
 def remove_vertices(options: RemeshOptions) -> Stage:
     """Vertices for which a domain has no room between floating-point numbers go."""
-    from ..remeshing.remeshing import Remeshing
-    from ..remeshing.vertex_removal import untangle_by_surgery
+    from ..remeshing import vertex_removal
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        work = Remeshing(state.mesh, sized(options, state))
-        work.names = state.vertex_names.renamed(state.vertex_names.of)
-        cavities = untangle_by_surgery(work, torch.ones_like(state.valid))
-        return _edited(state, work), Work.done(state, cavities=cavities)
+        mesh, removed = vertex_removal.remove_vertices(state.mesh, sized(options, state), state.vertex_names)
+        edits = replace(Edits.none(state.status), collapses=removed.collapses)
+        done = _edited(state, mesh, removed.names, removed.size, removed.metric, edits)
+        return done, Work.done(state, cavities=removed.cavities)
 
     return stage
 
 
 def remesh(options: RemeshOptions) -> Stage:
     """Splits and collapses, where they better the mesh."""
-    from ..remeshing.remeshing import Remeshing
+    from ..remeshing import remeshing
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        work = Remeshing(state.mesh, sized(options, state))
-        work.names = state.vertex_names.renamed(state.vertex_names.of)
-        work.improve(torch.ones_like(state.valid))
-        return _edited(state, work), Work.done(state, flips=work.flips)
+        mesh, done = remeshing.remesh_valid(state.mesh, sized(options, state), state.vertex_names)
+        edits = Edits(done.splits, done.collapses, done.flips, done.rounds)
+        return _edited(state, mesh, done.names, done.size, done.metric, edits), Work.done(state, flips=done.flips)
 
     return stage
 
@@ -196,20 +187,18 @@ def sized(options: RemeshOptions, state: State) -> RemeshOptions:
     return replace(options, sizes=state.names.vertex_map().carry(asked))
 
 
-def _edited(state: State, work: "Remeshing") -> State:
+def _edited(state: State, mesh: MeshBatch, names: Names, sizes: Tensor, metric: Tensor | None, edits: Edits) -> State:
     """The state with what remeshing has made of its meshes, and all that hangs on their vertices renumbered."""
-    mesh, before = work.batch, state.vertex_names
-    curves = state.curves
+    before, curves = state.vertex_names, state.curves
     if curves is not None:
-        row = torch.full((work.names.fresh,), -1, device=mesh.points.device)
-        row[work.names.of] = torch.arange(len(mesh.points), device=row.device)
+        row = torch.full((names.fresh,), -1, device=mesh.points.device)
+        row[names.of] = torch.arange(len(mesh.points), device=row.device)
         curves = curves.renumbered(row[before.of], state.mesh.point_offsets, mesh.point_offsets)
-    edits = Edits(work.splits, work.collapses, work.flips, work.rounds)
     return replace(
         state.at(mesh),
-        names=work.names,
+        names=names,
         edits=edits if state.edits is None else state.edits.plus(edits),
-        sizes=work.size,
-        targets=state.targets if work.metric is None else MetricField(work.metric),
+        sizes=sizes,
+        targets=state.targets if metric is None else MetricField(metric),
         curves=curves,
     )

@@ -1,6 +1,6 @@
 """Where the vertices of a remeshed batch come from: maps from old rows to new ones and back."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -69,33 +69,39 @@ class VertexMap:
         return field[self.sources[first]]
 
 
+@dataclass(frozen=True, eq=False)
 class Names:
-    """The names of a batch's vertices while they come and go: the first ones are called by their row.
+    """The names of vertices that come and go; the vertices at the beginning are named by their rows.
 
-    of      (V,) int64, the name of each vertex there is
+    of      (V,) int64, the name of each vertex
+    first   how many vertices there were at the beginning
     fresh   the next name to give
-    births  (N, 3) each: the name of a new vertex, and of the two ends of the edge it halved
+    births  (N, 3) int64 each: the name of an inserted vertex, and those of the two ends of the edge it halved
     """
 
-    def __init__(self, vertices: int, device: torch.device) -> None:
-        self.of = torch.arange(vertices, device=device)
-        self.first = self.fresh = vertices
-        self.births: list[Tensor] = []
+    of: Tensor
+    first: int
+    fresh: int
+    births: tuple[Tensor, ...] = ()
 
     @classmethod
     def of_rows(cls, vertices: int, device: torch.device) -> "Names":
-        """The names of so many vertices before any came or went."""
-        return cls(vertices, device)
-
-    def renamed(self, of: Tensor) -> "Names":
-        """Other vertices (V',) by their names, out of the same supply."""
-        other = Names(self.first, of.device)
-        other.of, other.fresh, other.births = of.clone(), self.fresh, list(self.births)
-        return other
+        """The names of so many vertices at the beginning."""
+        return cls(torch.arange(vertices, device=device), vertices, vertices)
 
     def select(self, rows: Tensor) -> "Names":
-        """The names of some of the vertices (V,) bool."""
-        return self.renamed(self.of[rows])
+        """The names of the vertices `rows`, (V,) bool or (N,) int64; the history stays whole."""
+        return replace(self, of=self.of[rows])
+
+    def renamed(self, of: Tensor, fresh: int | None = None, births: tuple[Tensor, ...] | None = None) -> "Names":
+        """The names `of` other vertices, with the history of these unless another is given."""
+        return replace(
+            self, of=of, fresh=self.fresh if fresh is None else fresh, births=self.births if births is None else births
+        )
+
+    def later(self, other: "Names") -> "Names":
+        """Of two that share their beginning, the one with the longer history."""
+        return self if self.fresh >= other.fresh else other
 
     def vertex_map(self) -> VertexMap:
         """The map from the vertices at the beginning to those of now."""
@@ -145,7 +151,14 @@ def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[T
     order = torch.cat(owners).argsort(stable=True)
     fixed = torch.cat([batch.fixed, part.fixed])[vertex]
     points = torch.cat([batch.points, part.points])[vertex]
-    whole = MeshBatch(points, faces, fixed, torch.cat(edges)[order], offsets, face_offsets, batch.frames)
+    twin = None
+    if batch.known_twin is not None and part.known_twin is not None:
+        local = torch.cat([_local_twins(batch), _local_twins(part)]).reshape(-1, 3)[face]
+        twin = torch.where(local < 0, -1, local + 3 * spread(face_offsets[:-1], face_offsets)[:, None]).reshape(-1)
+    whole = MeshBatch(
+        points, faces, fixed, torch.cat(edges)[order], offsets, face_offsets, batch.frames,
+        None if twin is None else (faces, twin),
+    )  # fmt: skip
     return whole, *(torch.cat(pair)[vertex] for pair in fields)
 
 
@@ -165,3 +178,9 @@ def _places(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
 
 def _local(batch: MeshBatch) -> Tensor:
     return batch.triangles - batch.point_offsets[segment_ids(batch.triangle_offsets)][:, None]
+
+
+def _local_twins(batch: MeshBatch) -> Tensor:
+    """(3T,) the twins, numbered within each mesh."""
+    shift = 3 * spread(batch.triangle_offsets[:-1], 3 * batch.triangle_offsets)
+    return torch.where(batch.twin < 0, -1, batch.twin - shift)

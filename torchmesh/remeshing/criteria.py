@@ -1,4 +1,6 @@
-"""Which valid meshes are so poor that vertices should travel."""
+"""Which valid meshes have shapes so poor that vertices should travel."""
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -7,27 +9,44 @@ from ..mesh.measure import Quality
 from ..mesh.ragged import counts_from_offsets, segment_count
 from .options import RemeshOptions
 
-# Above this mean or maximum of the inverse mean ratio, flips and smoothing have not come far enough.
-_MEAN, _MAX = 1.06, 1.9
+# The mean inverse mean ratio that flips and smoothing should reach: above it, relocation is tried, and shaken.
+GOOD_MEAN = 1.06
 
 
-# The mean above which it is worth what it costs where there are more triangles than so many.
-_MEAN_OF_HUGE, _HUGE = 1.08, 200_000
+@dataclass(frozen=True)
+class CrowdedOptions:
+    """What `crowded` finds poor, in inverse mean ratios and numbers of triangles.
+
+    mean          flips and smoothing should come below this mean
+    max           no triangle should be above this maximum: that of `PolishOptions.ratio`
+    huge          in a mesh of more triangles relocation takes three times as long as all else
+    mean_of_huge  the mean above which it is worth that there
+    few           a part of the triangles of a mesh: if no more than these are above `max`, work on all of a large
+                  mesh is not worth it
+    """
+
+    mean: float = GOOD_MEAN
+    max: float = 1.9
+    huge: int = 200_000
+    mean_of_huge: float = 1.08
+    few: float = 1e-4
 
 
-# So small a part of the triangles above that maximum is not worth work on a whole large mesh.
-_FEW = 1e-4
-
-
-def crowded(q: Quality, options: RemeshOptions, triangle_offsets: Tensor | None = None) -> Tensor:
+def crowded(
+    q: Quality,
+    options: RemeshOptions,
+    triangle_offsets: Tensor | None = None,
+    limits: CrowdedOptions | None = None,
+) -> Tensor:
     """(B,) bool: valid meshes that relocation may better, or for which sizes were asked.
 
-    With `triangle_offsets` (B+1,) a few poor triangles of a large mesh do not count, and of a huge one, where
-    relocation would take three times as long as all else, only a poorer whole.
+    triangle_offsets  (B+1,) with these, a few poor triangles of a large mesh do not count, and of a huge mesh only
+                      its mean does beyond that
     """
-    poor, mean = q.max > _MAX, q.mean > _MEAN
+    limits = limits or CrowdedOptions()
+    poor, mean = q.max > limits.max, q.mean > limits.mean
     if triangle_offsets is not None:
         counts = counts_from_offsets(triangle_offsets)
-        poor = segment_count(q.inverse_mean_ratio > _MAX, triangle_offsets) > _FEW * counts
-        mean = q.mean > torch.where(counts > _HUGE, _MEAN_OF_HUGE, _MEAN)
+        poor = segment_count(q.inverse_mean_ratio > limits.max, triangle_offsets) > limits.few * counts
+        mean = q.mean > torch.where(counts > limits.huge, limits.mean_of_huge, limits.mean)
     return (q.inverted == 0) & (mean | poor | options.sizes_asked)

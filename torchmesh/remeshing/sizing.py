@@ -208,6 +208,15 @@ def uniform_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
     return spread(per_mesh, batch.point_offsets)
 
 
+def scaled_to_fit(batch: MeshBatch, size: Tensor) -> Tensor:
+    """(V,) the sizes times a factor a mesh with which as many equilateral triangles fill it as it has triangles."""
+    per_triangle = size[batch.triangles].mean(1)
+    share = signed_area(corners(batch.points.to(torch.float64), batch.triangles)) / per_triangle / per_triangle
+    fitting = segment_sum(share, batch.triangle_offsets) * (4 / SQRT3)
+    factor = (fitting / counts_from_offsets(batch.triangle_offsets)).sqrt()
+    return size * spread(factor, batch.point_offsets)
+
+
 @dataclass(frozen=True, eq=False)
 class SizeConformity:
     """Edge length over the size wanted (the mean of its two ends'), per mesh (B,): 1 is what was asked.

@@ -1,81 +1,99 @@
-"""Vertices taken out of a tangle for which there is no room: what no flip, move or pocket can untangle.
+"""Vertices taken out of a tangle that has no room for them: what no flip, move or new cavity can untangle.
 
-With all its vertices, a mesh inside a simple boundary always has valid places in real numbers, but
-not in floating-point numbers: far from the origin a domain may have fewer of them than vertices.
-Kim 2017 names collapses as what is to follow flips; here they are the last resort of topology "full".
+With all its vertices, a mesh inside a simple boundary always has valid positions in real numbers, but not in
+floating-point numbers: far from the origin a domain may hold fewer of these than it has vertices.  Kim 2017
+names collapses as what is to follow flips; here they are the last resort of topology "full".
 
-            tangled --> collapse round the fallen triangles --> make pockets anew --> valid?
-                              ^                                                        | no
-                              +--------------------------------------------------------+
+    tangled --> collapse round inverted triangles --> re-triangulate cavities --> valid?
+                   ^                                                               | no
+                   +---------------------------------------------------------------+
 
-Elsewhere they are no gain: on moved, turned and mapped tangles of 2,000 triangles, collapses and splits
-between the flips left 4 to 390 triangles fallen, which pockets had to mend as without, and the mesh in
-the end was no better and no sooner there.
+Elsewhere they are no gain.  On moved, turned and mapped tangles of 2,000 triangles, collapses and splits between
+the flips left 4 to 390 triangles inverted.  Cavities had to be re-triangulated as without them, and the mesh was
+no better in the end and no sooner there.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from ..mesh.batch import put
+from ..mesh.batch import MeshBatch, put
 from ..mesh.measure import quality
 from ..mesh.predicates import orientation
-from ..mesh.ragged import spread
+from ..mesh.vertex_map import Names
 from ..untangling.retriangulation import retriangulate_cavities
 from .collapses import collapse
-from .mutable import Editable, independent, living, neighbours
-from .remeshing import Remeshing, editable, rebuilt
+from .mutable import Editable, independent, neighbours
+from .options import RemeshOptions
+from .rounds import metric_at
 from .sizing import size_field
+from .state import RemeshState, editable, rebuilt
 
 
-def untangle_by_surgery(work: Remeshing, at: Tensor) -> Tensor:
-    """Take free vertices out of the meshes `at` (B,) bool of `work` until they are valid; the pockets of each (B,).
+@dataclass(frozen=True, eq=False)
+class Removed:
+    """What `remove_vertices` did.
 
-    Boundary, constrained edges, regions and fixed vertices stay, and `work` knows the old names of the
-    vertices that are left.  Each round takes out vertices of fallen triangles, no two of them neighbours,
-    those first that make the sum of |area| least; after one round pockets are tried, after two more again,
-    then after four.  A mesh is left tangled only if no vertex can go.
+    cavities   (B,) int64, cavities that were re-triangulated
+    collapses  (B,) int64, vertices that were taken out
+    names      of the vertices that are left
+    kept       (V',) int64, the rows that these had in the batch given
+    size       (V',) float64, the mean edge length that there was at each
+    metric     (V', 3) float64, the metric of the options at each; None: there is none
     """
-    pockets = torch.zeros(len(at), dtype=torch.int64, device=at.device)
-    work.size = size_field(work.batch, "keep") if work.size is None else work.size
-    going, rounds = at, 1
+
+    cavities: Tensor
+    collapses: Tensor
+    names: Names
+    kept: Tensor
+    size: Tensor
+    metric: Tensor | None
+
+
+def remove_vertices(batch: MeshBatch, options: RemeshOptions, names: Names | None = None) -> tuple[MeshBatch, Removed]:
+    """Take free vertices out of tangled meshes until they are valid.
+
+    Boundary, constrained edges, regions and fixed vertices stay.  Each round takes out vertices of inverted
+    triangles, no two of them neighbours, those first that make the sum of |area| least.  Cavities are
+    re-triangulated after one round, again after two more, then after four more, and so on.  A mesh is left
+    tangled only if no vertex can go.
+
+    names  of the vertices; None: `batch` is where the vertex map begins
+    """
+    state = RemeshState.begin(batch, size_field(batch, "keep"), metric=metric_at(batch, options))
+    cavities = torch.zeros_like(state.rounds)
+    going, rounds = state.every(), 1
     while bool(going.any()):
-        part, rows = work.batch.select(going), spread(going, work.batch.point_offsets)
-        size, names, *metric = (values[rows] for values in work.fields())
-        e = editable(part, size, work.names, names, *metric)
-        taken = sum((collapse_round(e) for _ in range(rounds)), torch.zeros_like(pockets[going]))
-        part, *fields = rebuilt(part, e)
-        if e.metric is not None:
-            fields.append(e.metric[living(e)])
-        work.exchange(going, part, fields)
-        work.collapses[going] += taken
-        mended, info = retriangulate_cavities(part)
-        left = quality(mended).inverted
-        better = left < quality(part).inverted
+        given = state.select(going)
+        e = editable(given)
+        taken = sum((collapse_round(e) for _ in range(rounds)), torch.zeros_like(given.collapses))
+        part = rebuilt(replace(given, collapses=given.collapses + taken), e)
+        mended, info = retriangulate_cavities(part.batch)
+        left, before = quality(mended).inverted, quality(part.batch).inverted
+        better = left < before
         if bool(better.any()):
-            work.batch = put(work.batch, going, put(part, better, mended.select(better)))
-        pockets[going] += torch.where(better, info.cavities, 0)
-        still = going.clone()
-        still[going] = (taken > 0) & (left > 0)
-        going, rounds = still, 2 * rounds
-    if isinstance(work.options.sizes, Tensor):
-        work.options = replace(work.options, sizes=work.names.vertex_map().carry(work.options.sizes))
-    return pockets
+            part = replace(part, batch=put(part.batch, better, mended.select(better)))
+        state = state.put(going, part)
+        cavities[going] += torch.where(better, info.cavities, 0)
+        going, rounds = going.masked_scatter(going, (taken > 0) & (left > 0)), 2 * rounds
+    kept = state.names.of
+    names = Names.of_rows(len(batch.points), kept.device) if names is None else names
+    return state.batch, Removed(cavities, state.collapses, names.select(kept), kept, state.size, state.metric)
 
 
 def collapse_round(e: Editable) -> Tensor:
-    """Collapse free vertices of triangles that are not upright, no two near each other; how many of each mesh (B,)."""
+    """Collapse free vertices of inverted triangles, no two near each other; how many of each mesh (B,)."""
     h, growth, claims = _candidates(e)
-    # Nor do two have one head, or two edges could become one: in a tangle no sign forbids that.
+    # No two collapses share a head either: two edges could become one, and in a tangle no sign forbids that.
     h = h[independent(torch.stack([e.vertex[h], e.head(h)], 1), claims, growth, len(e.x))]
     count = e.per_mesh(h)
     collapse(e, h)
     return count
 
 
-def fallen(e: Editable) -> Tensor:
-    """(T,) bool: the living triangles that are not upright, by exact signs."""
+def inverted(e: Editable) -> Tensor:
+    """(T,) bool: the living triangles that are inverted, by exact signs."""
     a, b, c = e.triangles.clamp_min(0).unbind(1)
     return (orientation(e.x[a], e.y[a], e.x[b], e.y[b], e.x[c], e.y[c]) <= 0) & (e.triangles[:, 0] >= 0)
 
@@ -86,7 +104,7 @@ def _candidates(e: Editable) -> tuple[Tensor, Tensor, Tensor]:
     Growth is relative to the area of the triangles that are there now.
     """
     near = torch.zeros_like(e.alive)
-    near[e.triangles[fallen(e)].reshape(-1)] = True
+    near[e.triangles[inverted(e)].reshape(-1)] = True
     near &= ~e.fixed
     h = ((e.vertex >= 0) & near[e.vertex.clamp_min(0)] & (e.twin >= 0)).nonzero().squeeze(1)
     u, w = e.vertex[h], e.head(h)
@@ -108,7 +126,7 @@ def _candidates(e: Editable) -> tuple[Tensor, Tensor, Tensor]:
         double = (e.x[a] - px) * (e.y[b] - py) - (e.y[a] - py) * (e.x[b] - px)
         return torch.where(which, double.abs(), 0.0).sum(1)
 
-    # Those on both sides of the edge go; the others have their corner at its head then.
+    # The triangles on both sides of the edge go; the others then have their corner at its head.
     now, then = area(u, there), area(w, there & ~last & (column > 0))
     growth = torch.where(now > 0, then / torch.where(now > 0, now, 1.0), torch.where(then > 0, torch.inf, 1.0))
     return h, growth, torch.cat([u[:, None], ring], 1)
