@@ -6,7 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchmesh.mesh.curves import BoundaryCurves, fit_curves
+from torchmesh.mesh.curve_fitting import fit_curves
+from torchmesh.mesh.curve_motion import chain_areas, order_penalty, restore_area
+from torchmesh.mesh.curves import BoundaryCurves
 
 
 def fitted(points, edges, angle=40.0, stays=(), offsets=None) -> BoundaryCurves:
@@ -131,9 +133,9 @@ def test_the_curve_through_points_of_a_circle_is_nearly_that_circle():
         curves = fitted(circle(angles), loop(count))
         largest = np.diff(np.append(angles, angles[0] + 2 * np.pi)).max()
         for part in np.linspace(0, 1, 11):
-            place, _, _ = curves.at(curves.place + part * curves.period[0] / count)
+            position, _, _ = curves.at(curves.at_knot + part * curves.period[0] / count)
             # The radius of the cubic arc of angle a differs by a^6 / 4.5e5 or so (the textbook's 2.7e-4 at 90 degrees).
-            assert float((place.norm(dim=1) - 1).abs().max()) < largest**6 / 4e4
+            assert float((position.norm(dim=1) - 1).abs().max()) < largest**6 / 4e4
     # The bound in the module's text.
     assert (np.pi / 6) ** 6 / 4e4 < 1e-6
 
@@ -143,18 +145,18 @@ def test_an_open_arc_is_an_arc_up_to_its_ends():
     points = np.concatenate([circle(angles), [[-0.2, 0]]])
     curves = fitted(points, loop(13))
     for part in np.linspace(0, 1, 7):
-        s = curves.place + part * (curves.place[curves.after] - curves.place)
+        s = curves.at_knot + part * (curves.at_knot[curves.after] - curves.at_knot)
         assert float((curves.at(s)[0].norm(dim=1) - 1).abs().max()) < 1e-8
 
 
 def test_on_straight_lines_places_are_exactly_straight():
     curves = fitted([[0, 0.1], [0.3, 0.1], [1, 0.1], [1, 1.7], [1, 3.3], [0, 3.3]], loop(6))
     for part in np.linspace(0, 0.999, 13):
-        place, tangent, segment = curves.at(curves.place + part * (curves.place[curves.after] - curves.place))
+        position, tangent, segment = curves.at(curves.at_knot + part * (curves.at_knot[curves.after] - curves.at_knot))
         assert bool(curves.straight[segment].all())
         along_x = tangent[:, 1] == 0
-        assert bool((place[along_x, 1] == 0.1).all())
-        assert bool((place[~along_x, 0] == 1).all())
+        assert bool((position[along_x, 1] == 0.1).all())
+        assert bool((position[~along_x, 0] == 1).all())
         torch.testing.assert_close(tangent.norm(dim=1), torch.ones(len(tangent), dtype=torch.float64))
 
 
@@ -163,14 +165,14 @@ def test_a_line_runs_into_an_arc_and_stays_a_line():
     lower, upper = [[x, -1] for x in (-3, -2, -1)], [[x, 1] for x in (-1, -2, -3)]
     points = np.array(lower + circle(angles).tolist() + upper)
     curves = fitted(points, loop(len(points)))
-    s = curves.place + 0.37 * (curves.place[curves.after] - curves.place)
-    place, _, segment = curves.at(s)
-    flat = place[:, 0] < -1e-9
-    assert bool((place[flat, 1].abs() == 1)[1:].all())
+    s = curves.at_knot + 0.37 * (curves.at_knot[curves.after] - curves.at_knot)
+    position, _, segment = curves.at(s)
+    flat = position[:, 0] < -1e-9
+    assert bool((position[flat, 1].abs() == 1)[1:].all())
     assert bool(curves.straight[segment][flat].all())
     # Where line and arc meet the arc's tangent is the line's: as smooth as the original.
     torch.testing.assert_close(
-        place[~flat].norm(dim=1), torch.ones(int((~flat).sum()), dtype=torch.float64), atol=2e-5, rtol=0
+        position[~flat].norm(dim=1), torch.ones(int((~flat).sum()), dtype=torch.float64), atol=2e-5, rtol=0
     )
 
 
@@ -184,63 +186,66 @@ SHAPES = {
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_derivatives_are_those_of_finite_differences(name, rng):
     curves = SHAPES[name]()
-    gap = curves.place[curves.after] - curves.place
+    gap = curves.at_knot[curves.after] - curves.at_knot
     gap = torch.where(gap <= 0, gap + curves.period, gap)
-    s = curves.place + torch.from_numpy(rng.uniform(0.1, 0.4, len(gap))) * gap
+    s = curves.at_knot + torch.from_numpy(rng.uniform(0.1, 0.4, len(gap))) * gap
     s = curves.moved_to(s[curves.slides])
     step = 1e-6
     tangent = curves.at(s)[1]
     slides = curves.slides
     ahead, back = (curves.at(curves.moved_to((s + d)[slides]))[0] for d in (step, -step))
     torch.testing.assert_close(tangent[slides], ((ahead - back) / (2 * step))[slides], rtol=1e-7, atol=1e-8)
-    slope = curves.penalty(s)[1]
+    slope = order_penalty(curves, s)[1]
     for k in slides.nonzero().squeeze(1).tolist():
         values = []
         for d in (step, -step):
             there = s.clone()
             there[k] += d
-            values.append(curves.penalty(curves.moved_to(there[slides]))[0].item())
+            values.append(order_penalty(curves, curves.moved_to(there[slides]))[0].item())
         assert slope[k].item() == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-5, abs=1e-9)
 
 
 def test_the_penalty_is_felt_where_an_edge_stands_far_off_its_curve():
     curves = fitted(circle(2 * np.pi * np.arange(24) / 24), loop(24))
-    assert curves.penalty(curves.place)[0].item() == pytest.approx(24 * 0.5**8)
-    s = curves.place.clone()
+    assert order_penalty(curves, curves.at_knot)[0].item() == pytest.approx(24 * 0.5**8)
+    s = curves.at_knot.clone()
     s[5] -= 0.9 * (s[5] - s[4])
-    total, slope, in_order = curves.penalty(s)
+    total, slope, in_order = order_penalty(curves, s)
     # An edge of 1.9 times the length stands 3.6 times as high, of 2 allowed.
     assert total.item() == pytest.approx((1.9**2 / 2) ** 8, rel=1e-2)
     assert slope[5].item() < 0
     assert bool(in_order)
     s[5] -= 0.2 * (s[5] - s[3])
-    assert not bool(curves.penalty(s)[2])
+    assert not bool(order_penalty(curves, s)[2])
 
 
 def test_going_round_a_closed_chain_comes_back():
     curves = SHAPES["closed"]()
     assert curves.slides.sum() == 30
     for turns in (-2, 1, 3):
-        s = curves.place + turns * curves.period
+        s = curves.at_knot + turns * curves.period
         torch.testing.assert_close(curves.at(s)[0], curves.knots, rtol=0, atol=1e-13)
         torch.testing.assert_close(
-            curves.bending(s)[0] - curves.bending(curves.place)[0], turns * curves.bend[curves.last], rtol=0, atol=1e-12
+            curves.bending(s)[0] - curves.bending(curves.at_knot)[0],
+            turns * curves.bend[curves.last],
+            rtol=0,
+            atol=1e-12,
         )
 
 
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_areas_come_back_exactly(name, rng):
     curves = SHAPES[name]()
-    gap = curves.place[curves.after] - curves.place
+    gap = curves.at_knot[curves.after] - curves.at_knot
     gap = torch.where(gap <= 0, gap + curves.period, gap)
-    s = curves.moved_to((curves.place + torch.from_numpy(rng.uniform(0, 0.5, len(gap))) * gap)[curves.slides])
-    place, _, segment = curves.at(s)
-    before = curves.area(place) - curves.area(curves.knots)
-    restored, lack = curves.restore_area(place, segment)
+    s = curves.moved_to((curves.at_knot + torch.from_numpy(rng.uniform(0, 0.5, len(gap))) * gap)[curves.slides])
+    position, _, segment = curves.at(s)
+    before = chain_areas(curves, position) - chain_areas(curves, curves.knots)
+    restored, lack = restore_area(curves, position, segment)
     assert float(lack.abs().max()) < 1e-14
-    torch.testing.assert_close(curves.area(restored), curves.area(curves.knots), rtol=1e-14, atol=1e-14)
+    torch.testing.assert_close(chain_areas(curves, restored), chain_areas(curves, curves.knots), rtol=1e-14, atol=1e-14)
     if name == "square":
-        assert torch.equal(restored, place)
+        assert torch.equal(restored, position)
     else:
         assert float(before.abs().max()) > 1e-3
         if name == "closed":
@@ -258,7 +263,9 @@ def test_curves_of_a_batch_are_those_of_its_meshes_and_can_be_picked():
             assert torch.equal(getattr(picked, name), value), name
     part = both.select(torch.tensor([False, True]))
     changed = both.put(torch.tensor([False, True]), BoundaryCurves(**(vars(part) | {"parameter": part.parameter + 1})))
-    assert torch.equal(changed.parameter - both.parameter, (both.offsets[1] <= torch.arange(len(both.place))).double())
+    assert torch.equal(
+        changed.parameter - both.parameter, (both.offsets[1] <= torch.arange(len(both.at_knot))).double()
+    )
 
 
 def test_edges_without_a_vertex_that_slides_give_no_curves():
@@ -266,4 +273,4 @@ def test_edges_without_a_vertex_that_slides_give_no_curves():
     assert len(curves.vertex) == 0
     assert curves.offsets.tolist() == [0, 0]
     assert [len(v) for v in curves.at(curves.parameter)] == [0, 0, 0]
-    assert curves.penalty(curves.parameter)[0].tolist() == [0]
+    assert order_penalty(curves, curves.parameter)[0].tolist() == [0]

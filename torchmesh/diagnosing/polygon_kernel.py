@@ -1,7 +1,7 @@
-"""What no places of the free vertices can mend while the triangles stay: found by exact signs.
+"""What no positions of the free vertices can mend while the triangles stay: found by exact signs.
 
-Not everything: whether some places are valid is as hard as a system of quadratic inequalities.
-These are the obstructions that one triangle or the ring round one vertex shows.  (An interior vertex
+Not everything is found: whether valid positions exist is as hard as a system of quadratic inequalities.
+These are the obstructions that one triangle, or the ring round one vertex, shows.  (An interior vertex
 of fewer than three triangles, which none could mend either, is no part of an oriented manifold.)
 """
 
@@ -32,11 +32,11 @@ def inverted_fixed_triangles(points: np.ndarray, triangles: np.ndarray, fixed: n
 def vertices_without_kernel(
     points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, inner: np.ndarray, enough: int | None = None
 ) -> np.ndarray:
-    """(N,) the free vertices of `inner` (V,) bool for which the fixed ring round them leaves no place.
+    """(N,) the free vertices of `inner` (V,) bool for which the fixed ring round them leaves no position.
 
-    enough  having found so many, look no further
+    enough  stop looking when so many are found
 
-    A place is good when it lies strictly left of every edge of the ring.  By Helly's theorem there
+    A position is good when it lies strictly left of every edge of the ring.  By Helly's theorem there
     is none exactly if three of these half-planes have nothing in common.
     """
     # A vertex counts if none of its neighbours is free.
@@ -46,11 +46,11 @@ def vertices_without_kernel(
     other = np.zeros(len(points), bool)
     other[triangles[~lonely][loose[~lonely]]] = True
     tied &= ~other
-    rows, place = np.nonzero(tied[triangles])
+    rows, corner = np.nonzero(tied[triangles])
     if not len(rows):
         return rows
-    centre = triangles[rows, place]
-    ring = np.stack([triangles[rows, (place + 1) % 3], triangles[rows, (place + 2) % 3]], 1)
+    centre = triangles[rows, corner]
+    ring = np.stack([triangles[rows, (corner + 1) % 3], triangles[rows, (corner + 2) % 3]], 1)
     order = np.argsort(centre, kind="stable")
     centre, ring = centre[order], ring[order]
     vertices, start, degree = np.unique(centre, return_index=True, return_counts=True)
@@ -115,7 +115,7 @@ def _surely_empty(points: np.ndarray, edges: np.ndarray) -> bool:
 
 
 def _empty_by_program(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """(M,) bool: no place is left of all `edges` (M, d, 2) by a margin that rounding explains."""
+    """(M,) bool: no position is left of all `edges` (M, d, 2) by a margin that rounding explains."""
     from scipy.optimize import linprog
 
     normal, offset = _half_planes(points, edges)

@@ -1,6 +1,6 @@
 """Slits of no width: two stretches of boundary that lie on each other, with the mesh on both sides.
 
-        a ---- b          the edges a b and c d are in one place, as are a and d, b and c:
+        a ---- b          the edges a b and c d lie on each other, as do a and d, b and c:
         d ---- c          sewn up, the slit is a constrained edge a b of an ordinary mesh
 
 A crack in a model is one.  The boundary touches itself there, and yet valid triangles exist.
@@ -9,28 +9,28 @@ A crack in a model is one.  The boundary touches itself there, and yet valid tri
 import numpy as np
 
 
-def sewing(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, piece: np.ndarray) -> np.ndarray | None:
+def sewing(points: np.ndarray, triangles: np.ndarray, boundary: np.ndarray, piece: np.ndarray) -> np.ndarray | None:
     """(V,) for each vertex the first of those it is sewn to, if there is a slit that can be sewn up; else None.
 
-    points (V, 2); triangles (T, 3); rim (E, 2) the boundary edges, with the mesh on their left; piece (V,)
+    points (V, 2); triangles (T, 3); boundary (E, 2) the boundary edges, with the mesh on their left; piece (V,)
     labels what is joined by edges: pieces are not sewn to each other.
 
     Not sewn is what would give a triangle twice the same corner, or an edge three triangles.
     """
     # np.unique would sort, and load numpy.ma.
-    vertices, place = np.flatnonzero(np.bincount(rim.reshape(-1))), np.full(len(points), -1)
+    vertices, position = np.flatnonzero(np.bincount(boundary.reshape(-1))), np.full(len(points), -1)
     order = vertices[np.lexsort((points[vertices, 1], points[vertices, 0], piece[vertices]))]
     new = (points[order[1:]] != points[order[:-1]]).any(1) | (piece[order[1:]] != piece[order[:-1]])
     if new.all():
         return None
-    place[order] = np.cumsum(np.concatenate([[True], new])) - 1
-    tail, head = place[rim].T
+    position[order] = np.cumsum(np.concatenate([[True], new])) - 1
+    tail, head = position[boundary].T
     there, back = tail * len(points) + head, head * len(points) + tail
     known, first, times = np.unique(there, return_index=True, return_counts=True)
     at = np.minimum(np.searchsorted(known, back), len(known) - 1)
     own = np.searchsorted(known, there)
     facing = (known[at] == back) & (times[at] == 1) & (times[own] == 1) & (tail != head)
-    one, two = rim[facing], rim[first[at[facing]]][:, ::-1]
+    one, two = boundary[facing], boundary[first[at[facing]]][:, ::-1]
     if not len(one):
         return None
     name = np.arange(len(points))

@@ -44,7 +44,7 @@ def same_frame(
     old_twin, twin = before.twin, connectivity.twins(after.triangles)
     old = connectivity.boundary_edges(before.triangles, old_twin)
     new = _whole(connectivity.boundary_edges(after.triangles, twin), old_row)
-    keys = [rim[:, 0] * count + rim[:, 1] for rim in (old, new)]
+    keys = [edges[:, 0] * count + edges[:, 1] for edges in (old, new)]
     fail(old[~torch.isin(*keys), 0])
     fail(new[~torch.isin(*keys[::-1]), 0].clamp_min(0))
     same &= _euler_numbers(before, old_twin) == _euler_numbers(after, twin)
@@ -77,5 +77,5 @@ def _whole(edges: Tensor, old_row: Tensor) -> Tensor:
 def _euler_numbers(batch: MeshBatch, twin: Tensor) -> Tensor:
     """(B,) V - E + F of each mesh, over the vertices that have a triangle: 2 E is 3 F and the boundary's edges."""
     used = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) > 0
-    rim = segment_count(twin < 0, 3 * batch.triangle_offsets)
-    return segment_count(used, batch.point_offsets) - (counts_from_offsets(batch.triangle_offsets) + rim) // 2
+    boundary = segment_count(twin < 0, 3 * batch.triangle_offsets)
+    return segment_count(used, batch.point_offsets) - (counts_from_offsets(batch.triangle_offsets) + boundary) // 2

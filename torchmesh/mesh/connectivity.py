@@ -72,9 +72,9 @@ def edges(triangles: Tensor, twin: Tensor) -> Tensor:
 
 def boundary_edges(triangles: Tensor, twin: Tensor) -> Tensor:
     """(E_b, 2) the edges of one triangle only, with the mesh on their left."""
-    rim = (twin < 0).nonzero().squeeze(1)
+    boundary = (twin < 0).nonzero().squeeze(1)
     flat = triangles.reshape(-1)
-    return torch.stack([flat[rim], flat[next_in_triangle(rim)]], 1)
+    return torch.stack([flat[boundary], flat[next_in_triangle(boundary)]], 1)
 
 
 def boundary_vertices(triangles: Tensor, twin: Tensor, vertices: int) -> Tensor:
@@ -146,13 +146,13 @@ def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None 
     return ((root == rows).cumsum(0) - 1).index_select(0, root)
 
 
-def boundary_loops(rim: Tensor) -> list[Tensor]:
-    """The closed walks along `rim` (E, 2) directed edges, each a tensor of vertices in order.
+def boundary_loops(boundary: Tensor) -> list[Tensor]:
+    """The closed walks along `boundary` (E, 2) directed edges, each a tensor of vertices in order.
 
     Where several loops meet in one vertex they are taken apart at it, so that no loop passes a
     vertex twice.
     """
-    pairs = rim.tolist()
+    pairs = boundary.tolist()
     onward = dict(pairs)
     if len(onward) == len(pairs):
         # No vertex is passed twice.
@@ -165,29 +165,29 @@ def boundary_loops(rim: Tensor) -> list[Tensor]:
                 v = onward.pop(v)
             if len(order) > begin:
                 sizes.append(len(order) - begin)
-        return list(torch.tensor(order, dtype=torch.int64, device=rim.device).split(sizes))
+        return list(torch.tensor(order, dtype=torch.int64, device=boundary.device).split(sizes))
     loops: list[Tensor] = []
     following: dict[int, list[int]] = {}
     for u, v in pairs:
         following.setdefault(u, []).append(v)
     for first, _ in pairs:
         walk = [first] if first in following else []
-        place = {first: 0}
+        position = {first: 0}
         while walk:
             u = walk[-1]
             v = following[u].pop()
             if not following[u]:
                 del following[u]
-            if v in place:
-                start = place[v]
-                loops.append(torch.tensor(walk[start:], device=rim.device))
+            if v in position:
+                start = position[v]
+                loops.append(torch.tensor(walk[start:], device=boundary.device))
                 for w in walk[start + 1 :]:
-                    del place[w]
+                    del position[w]
                 walk = walk[: start + 1]
                 if v not in following:
-                    del place[v]
+                    del position[v]
                     walk.pop()
             else:
-                place[v] = len(walk)
+                position[v] = len(walk)
                 walk.append(v)
     return loops

@@ -166,10 +166,10 @@ def percentiles(values: Tensor, offsets: Tensor, percents: Sequence[float]) -> T
     order = order[segment_ids(offsets)[order].argsort(stable=True)]
     ranked = values[order]
     parts = torch.tensor(list(percents), dtype=values.dtype, device=values.device) / 100
-    place = parts * (counts_from_offsets(offsets)[:, None] - 1)
-    below = place.floor()
-    fraction = place - below
-    low, high = (offsets[:-1, None] + p.to(torch.int64) for p in (below, place.ceil()))
+    rank = parts * (counts_from_offsets(offsets)[:, None] - 1)
+    below = rank.floor()
+    fraction = rank - below
+    low, high = (offsets[:-1, None] + p.to(torch.int64) for p in (below, rank.ceil()))
     low, high = ranked[low], ranked[high]
     # Between equal neighbours nothing is to be weighed; two infinities would give NaN.
     return torch.where((fraction == 0) | (low == high), low, low + fraction * (high - low).nan_to_num(posinf=torch.inf))

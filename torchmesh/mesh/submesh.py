@@ -88,7 +88,7 @@ def repeated(batch: MeshBatch, meshes: Tensor) -> MeshBatch:
 
 
 def picked(batch: MeshBatch, meshes: Tensor, like: MeshBatch) -> MeshBatch:
-    """The `meshes` (P,) int64 of the batch, which have the rows of `like`, in its place."""
+    """The `meshes` (P,) int64 of the batch, one for each mesh of `like`, whose numbers of rows they have."""
     points = batch.points[rows_of_each(meshes, batch.point_offsets)]
     faces = rows_of_each(meshes, batch.triangle_offsets)
     shift = like.point_offsets[:-1] - batch.point_offsets[:-1][meshes]

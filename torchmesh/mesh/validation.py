@@ -120,8 +120,8 @@ def checked_constraints(constrained_edges: Any, faces: Tensor, twin: Tensor, ver
     if bool(missing.any()):
         row = _first(missing)
         raise InvalidMeshError(f"constrained_edges row {row} is {given[row].tolist()}: no triangle has that edge")
-    rim = connectivity.boundary_edges(faces, twin)
-    interior = ~torch.isin(keys, connectivity.keys_of(rim, vertices))
+    boundary = connectivity.boundary_edges(faces, twin)
+    interior = ~torch.isin(keys, connectivity.keys_of(boundary, vertices))
     return given[interior]
 
 
@@ -173,9 +173,9 @@ def oriented(points: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     same = keys[1:] == keys[:-1]
     thrice = same[1:] & same[:-1]
     if bool(thrice.any()):
-        place = _first(thrice)
-        rows = sorted((order[place : place + 3] // 3).tolist())
-        h = order[place]
+        first = _first(thrice)
+        rows = sorted((order[first : first + 3] // 3).tolist())
+        h = order[first]
         raise InvalidMeshError(
             f"triangles rows {rows[0]}, {rows[1]} and {rows[2]} share the edge {[int(u[h]), int(v[h])]}: "
             "an edge may have two triangles at most"

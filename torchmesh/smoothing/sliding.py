@@ -13,7 +13,9 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
-from ..mesh.curves import BoundaryCurves, fit_curves
+from ..mesh.curve_fitting import fit_curves
+from ..mesh.curve_motion import order_penalty, restore_area
+from ..mesh.curves import BoundaryCurves
 from ..mesh.measure import upright
 from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_max, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
@@ -87,7 +89,7 @@ class SlidingObjective:
         coordinates = unknowns.clone()
         coordinates[self.x_rows], coordinates[self.y_rows] = place[:, 0], place[:, 1]
         energy, gradient, done = self.inner(coordinates)
-        penalty, slope, in_order = curves.penalty(s)
+        penalty, slope, in_order = order_penalty(curves, s)
         along = gradient[self.x_rows] * tangent[:, 0] + gradient[self.y_rows] * tangent[:, 1]
         gradient[self.x_rows] = along + slope[curves.slides]
         gradient[self.y_rows] = 0
@@ -149,7 +151,7 @@ class Slide:
             s = curves.parameter + spread(part, curves.offsets) * (slid - curves.parameter)
             s = torch.where(spread(part, curves.offsets) == 1, slid, s)
             places, _, segment = curves.at(s)
-            places, lack = curves.restore_area(places, segment)
+            places, lack = restore_area(curves, places, segment)
             moving = ~(still | (spread(part, curves.offsets) == 0))[curves.slides]
             points[self.rows[moving]] = places[curves.slides][moving]
             result = batch.with_points(points)

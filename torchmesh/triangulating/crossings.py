@@ -16,7 +16,7 @@ def crossing_pairs(
 ) -> np.ndarray:
     """(P, 2) the pairs of rows of `segments` (S, 2) that meet other than in a vertex both have.
 
-    They cross, touch, overlap, or end in different vertices at one place.  `group` (S,): only pairs
+    They cross, touch, overlap, or end in different vertices in one position.  `group` (S,): only pairs
     of the same group are looked at.  `enough`: having found so many pairs, look no further.
     """
     if len(segments) < 2:

@@ -65,7 +65,7 @@ _CHUNK = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A domain to mesh.
+    """A domain to be meshed.
 
     loops      closed polylines (n, 2), any spacing: the outer one first, counter-clockwise, then holes, clockwise
     sizes      the edge length wanted along each loop, relative to one another
@@ -101,45 +101,47 @@ def mesh_outline(
         # The same lattice each time, so that the count answers to the scale alone.
         rng.bit_generator.state = state
         field = _SizeField.of(outline, samples, np.minimum(relative * scale, thickness), max(outline.sizes) * scale)
-        rim = [_resampled(loop, field, size * scale) for loop, size in zip(outline.loops, outline.sizes, strict=True)]
-        seeds = _seeds(rim, field, rng)
-        count = 2 * len(seeds) + sum(map(len, rim)) + 2 * len(rim) - 4
+        boundary = [
+            _resampled(loop, field, size * scale) for loop, size in zip(outline.loops, outline.sizes, strict=True)
+        ]
+        seeds = _seeds(boundary, field, rng)
+        count = 2 * len(seeds) + sum(map(len, boundary)) + 2 * len(boundary) - 4
         if abs(count / triangles - 1) < _SCALE_TOLERANCE:
             break
         scale *= np.sqrt(count / triangles)
-    points, corners = _meshed(rim, seeds, field)
-    return points, corners, np.repeat(np.arange(len(rim)), [len(loop) for loop in rim])
+    points, corners = _meshed(boundary, seeds, field)
+    return points, corners, np.repeat(np.arange(len(boundary)), [len(loop) for loop in boundary])
 
 
 @dataclass(frozen=True, eq=False)
 class _SizeField:
     """h(x) = min(cap, min over samples b of h_b + gradation |x - b|).
 
-    places (N,) complex, sizes (N,)
+    positions  (N,) complex, of the samples;  sizes (N,)
     """
 
-    places: np.ndarray
+    positions: np.ndarray
     sizes: np.ndarray
     gradation: float
     cap: float
 
     @classmethod
     def of(cls, outline: Outline, samples: list[np.ndarray], wanted: np.ndarray, cap: float) -> "_SizeField":
-        places = _complex(np.concatenate(samples))
+        positions = _complex(np.concatenate(samples))
         # What a coarser neighbour allows anyway need not be asked again.
-        limit = np.abs(places[:, None] - places) * outline.gradation + wanted
+        limit = np.abs(positions[:, None] - positions) * outline.gradation + wanted
         np.fill_diagonal(limit, np.inf)
         needed = (limit.min(1) > wanted) & (wanted < cap)
-        return cls(places[needed], wanted[needed], outline.gradation, cap)
+        return cls(positions[needed], wanted[needed], outline.gradation, cap)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) to (N,) edge lengths."""
         z = _complex(points)
         size = np.full(len(z), self.cap)
-        step = max(1, _CHUNK // max(1, len(self.places)))
-        for start in range(0, len(z) if len(self.places) else 0, step):
+        step = max(1, _CHUNK // max(1, len(self.positions)))
+        for start in range(0, len(z) if len(self.positions) else 0, step):
             part = slice(start, start + step)
-            near = np.abs(z[part, None] - self.places)
+            near = np.abs(z[part, None] - self.positions)
             near *= self.gradation
             near += self.sizes
             size[part] = np.minimum(near.min(1), self.cap)
@@ -178,7 +180,7 @@ def _sampled(outline: Outline) -> tuple[list[np.ndarray], np.ndarray, np.ndarray
     lengths = [np.abs(np.roll(z, -1) - z).sum() for z in map(_complex, outline.loops)]
     weights = np.array([length / size for length, size in zip(lengths, outline.sizes, strict=True)])
     counts = np.maximum(4 * _EDGES_PER_LOOP, (_SAMPLES * weights / weights.sum()).astype(int))
-    places, normals, along, whole, loop_of = [], [], [], [], []
+    positions, normals, along, whole, loop_of = [], [], [], [], []
     for i, (loop, count) in enumerate(zip(outline.loops, counts.tolist(), strict=True)):
         z = _complex(loop)
         edge = np.roll(z, -1) - z
@@ -186,12 +188,12 @@ def _sampled(outline: Outline) -> tuple[list[np.ndarray], np.ndarray, np.ndarray
         s = (np.arange(count) + 0.5) / count * ends[-1]
         k = np.searchsorted(ends, s, side="right") - 1
         direction = edge[k] / np.abs(edge[k])
-        places.append(z[k] + (s - ends[k]) * direction)
+        positions.append(z[k] + (s - ends[k]) * direction)
         normals.append(1j * direction)
         along.append(s)
         whole.append(np.full(count, ends[-1]))
         loop_of.append(np.full(count, i))
-    p, n, s, total, owner = (np.concatenate(v) for v in (places, normals, along, whole, loop_of))
+    p, n, s, total, owner = (np.concatenate(v) for v in (positions, normals, along, whole, loop_of))
     across = p - p[:, None]
     height = (np.conj(n[:, None]) * across).real
     distance = np.abs(across)
@@ -223,9 +225,9 @@ def _resampled(loop: np.ndarray, field: _SizeField, wanted: float) -> np.ndarray
         step = np.abs(np.diff(fine))
         total = np.concatenate([[0.0], (0.5 * (density[1:] + density[:-1]) * step).cumsum()])
         count = max(1 if len(starts) > 2 else _EDGES_PER_LOOP // 2, round(total[-1]))
-        places = np.interp(np.arange(count) / count * total[-1], total, np.arange(len(fine)))
-        k = np.minimum(places.astype(int), len(fine) - 2)
-        pieces.append(fine[k] + (places - k) * (fine[k + 1] - fine[k]))
+        steps = np.interp(np.arange(count) / count * total[-1], total, np.arange(len(fine)))
+        k = np.minimum(steps.astype(int), len(fine) - 2)
+        pieces.append(fine[k] + (steps - k) * (fine[k + 1] - fine[k]))
     out = np.concatenate(pieces)
     return np.stack([out.real, out.imag], 1)
 
@@ -239,13 +241,13 @@ def _refined(path: np.ndarray, step: float) -> np.ndarray:
     return np.append(path[k] + within / parts[k] * edge[k], path[-1])
 
 
-def _seeds(rim: list[np.ndarray], field: _SizeField, rng: np.random.Generator) -> np.ndarray:
-    """(M, 2) places for the interior vertices: lattice points inside, clear of the outline."""
-    polygon = _polygon(rim)
-    seeds = _lattice(rim[0].min(0), rim[0].max(0), field, rng)
+def _seeds(boundary: list[np.ndarray], field: _SizeField, rng: np.random.Generator) -> np.ndarray:
+    """(M, 2) positions for the interior vertices: lattice points inside, clear of the outline."""
+    polygon = _polygon(boundary)
+    seeds = _lattice(boundary[0].min(0), boundary[0].max(0), field, rng)
     seeds = seeds[shapely.contains_xy(polygon, seeds)]
-    middles = [0.5 * (loop + np.roll(loop, -1, 0)) for loop in rim]
-    distance = cKDTree(np.concatenate([*rim, *middles])).query(seeds)[0]
+    middles = [0.5 * (loop + np.roll(loop, -1, 0)) for loop in boundary]
+    distance = cKDTree(np.concatenate([*boundary, *middles])).query(seeds)[0]
     return seeds[distance > _CLEARANCE * field(seeds)]
 
 
@@ -292,34 +294,34 @@ def _lattice(low: np.ndarray, high: np.ndarray, field: _SizeField, rng: np.rando
     return np.stack([z.real, z.imag], 1)
 
 
-def _meshed(rim: list[np.ndarray], seeds: np.ndarray, field: _SizeField) -> tuple[np.ndarray, np.ndarray]:
+def _meshed(boundary: list[np.ndarray], seeds: np.ndarray, field: _SizeField) -> tuple[np.ndarray, np.ndarray]:
     """Delaunay triangles of loops and seeds, the seeds moved to their patches' centroids in turn.
 
     A patch's triangles count by area over squared size (Chen & Holst, Efficient mesh optimization
     schemes based on optimal Delaunay triangulations, Computer Methods in Applied Mechanics and
     Engineering 200, 2011: centroidal patch triangulation).
     """
-    outer = np.concatenate(rim)
-    border = len(outer)
-    polygon = _polygon(rim)
-    points = np.concatenate([outer, seeds])
+    outline = np.concatenate(boundary)
+    outer = len(outline)
+    polygon = _polygon(boundary)
+    points = np.concatenate([outline, seeds])
     sizes = field(points)
     for _ in range(_CENTROID_ROUNDS):
-        corners = _inside(points, border, polygon)
+        corners = _inside(points, outer, polygon)
         a, b, c = (points[corners[:, i]] for i in range(3))
         area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
         weight = area / sizes[corners].mean(1) ** 2
         centroid = (a + b + c) * (weight / 3)[:, None]
         flat = corners.ravel()
-        sums = [np.bincount(flat, np.repeat(v, 3), len(points))[border:] for v in (*centroid.T, weight)]
+        sums = [np.bincount(flat, np.repeat(v, 3), len(points))[outer:] for v in (*centroid.T, weight)]
         used = sums[2] > 0
         moved = np.stack(sums[:2], 1)[used] / sums[2][used, None]
         held = shapely.contains_xy(polygon, moved)
-        points[border:][np.flatnonzero(used)[held]] = moved[held]
-    corners = _inside(points, border, polygon)
+        points[outer:][np.flatnonzero(used)[held]] = moved[held]
+    corners = _inside(points, outer, polygon)
     turned = signs(points, *corners.T) < 0
     corners[turned] = corners[turned][:, ::-1]
-    starts = np.cumsum([0, *(len(loop) for loop in rim)])
+    starts = np.cumsum([0, *(len(loop) for loop in boundary)])
     loops = [np.arange(start, end) for start, end in itertools.pairwise(starts.tolist())]
     edges = np.concatenate([loop_edges(loop) for loop in loops])
     if is_triangulation_of(points, corners, edges) and len(np.unique(corners)) == len(points):
@@ -327,16 +329,16 @@ def _meshed(rim: list[np.ndarray], seeds: np.ndarray, field: _SizeField) -> tupl
     return _inserted(points, loops, sizes)
 
 
-def _inside(points: np.ndarray, border: int, polygon: shapely.Polygon) -> np.ndarray:
+def _inside(points: np.ndarray, outer: int, polygon: shapely.Polygon) -> np.ndarray:
     """(T, 3) the Delaunay triangles inside the polygon; of those only ones of three outline vertices can be out."""
     corners = Delaunay(points).simplices.astype(np.int64)
-    rim = np.flatnonzero((corners < border).all(1))
-    out = rim[~shapely.contains_xy(polygon, points[corners[rim]].mean(1))]
+    doubtful = np.flatnonzero((corners < outer).all(1))
+    out = doubtful[~shapely.contains_xy(polygon, points[corners[doubtful]].mean(1))]
     return np.delete(corners, out, 0)
 
 
 def _inserted(points: np.ndarray, loops: list[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same by exact steps, for outlines whose edges are not all Delaunay: the rim first, then the seeds."""
+    """The same by exact steps, for outlines whose edges are not all Delaunay: the outline first, then the seeds."""
     work = triangulate_polygon(points.copy(), loops, sizes.copy())
     if isinstance(work, Obstacle):
         raise MeshingError(f"the outline bounds no domain: {work}")

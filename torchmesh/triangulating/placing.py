@@ -1,4 +1,4 @@
-"""New vertices at places of our choice inside a triangulation, where triangles are too large."""
+"""Vertices inserted into a triangulation at free positions, where triangles are too large."""
 
 import numpy as np
 
@@ -21,10 +21,10 @@ _WEIGHTS = [
 
 
 def place_vertices(work: Triangulation, vertices: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Put `vertices` (N,) in at places of our choice: centroids, where `spacing` is exceeded most.
+    """Insert `vertices` (N,) at centroids of the triangles that exceed their `spacing` most.
 
-    Places are rounded to `dtype` and used only if exactly inside.  Returns those for which no
-    triangle has room left between the floating-point numbers.
+    Positions are rounded to `dtype`, and used only if they are inside by exact signs.  Returns the
+    vertices for which no triangle has room left between the floating-point numbers.
     """
     full = np.zeros(len(work.corners), bool)
     if len(vertices):
@@ -47,8 +47,8 @@ def place_vertices(work: Triangulation, vertices: np.ndarray, dtype: np.dtype) -
             if not len(out):
                 break
             s, total = t[out], one + two + three
-            places = a[s] + (two * (b[s] - a[s]) + three * (c[s] - a[s])) / total
-            work.points[used[out]] = places.astype(dtype)
+            positions = a[s] + (two * (b[s] - a[s]) + three * (c[s] - a[s])) / total
+            work.points[used[out]] = positions.astype(dtype)
             inside[out] = (work.sides(s, used[out]) > 0).all(1)
         full[t[~inside]] = True
         if not inside.any():

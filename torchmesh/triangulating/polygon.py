@@ -22,9 +22,9 @@ def unit_exponent(points: np.ndarray) -> int:
     return exponent if np.array_equal(np.ldexp(there, exponent), points) else 0
 
 
-def loops_of(rim: np.ndarray) -> list[np.ndarray]:
-    """The closed walks along the directed edges `rim` (E, 2), none of which passes a vertex twice."""
-    return [loop.numpy() for loop in boundary_loops(torch.from_numpy(rim))]
+def loops_of(boundary: np.ndarray) -> list[np.ndarray]:
+    """The closed walks along the directed edges `boundary` (E, 2), none of which passes a vertex twice."""
+    return [loop.numpy() for loop in boundary_loops(torch.from_numpy(boundary))]
 
 
 def loop_edges(loop: np.ndarray) -> np.ndarray:
@@ -73,13 +73,15 @@ def winding(points: np.ndarray, p: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 def why_not_simple(points: np.ndarray, loops: list[np.ndarray]) -> Obstacle | None:
     """What keeps the loops from bounding one domain on their left, if anything."""
-    rim = np.concatenate([loop_edges(loop) for loop in loops])
-    pairs = crossing_pairs(points, rim)
+    boundary = np.concatenate([loop_edges(loop) for loop in loops])
+    pairs = crossing_pairs(points, boundary)
     if len(pairs):
-        return Obstacle("the edges [{}, {}] and [{}, {}] of the rim meet", tuple(rim[pairs[0]].ravel().tolist()))
+        return Obstacle(
+            "the edges [{}, {}] and [{}, {}] of the boundary meet", tuple(boundary[pairs[0]].ravel().tolist())
+        )
     turn = turns_left(points, loops)
     if (turn > 0).sum() != 1 or (turn == 0).any():
-        return Obstacle(f"the rim has {(turn > 0).sum()} outer loops, not one")
+        return Obstacle(f"the boundary has {(turn > 0).sum()} outer loops, not one")
     outer = loops[int(turn.argmax())]
     for i, hole in enumerate(loops):
         if turn[i] > 0:

@@ -20,10 +20,12 @@ _TABLE = 100_000
 def triangulate_polygon(points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray) -> Triangulation | Obstacle:
     """The domain on the left of `loops`, triangulated with exactly the loops' vertices.
 
-    points (V, 2) float64; spacing (V,) as in `Triangulation`.  Returns what is wrong with the loops
-    when they bound no domain.  Tries GEOS's constrained Delaunay triangulation, checks it exactly,
-    and where it does not hold (near-degenerate loops) inserts the vertices into a big triangle,
-    recovers the rim and cuts it out: exact from end to end.
+    points   (V, 2) float64
+    spacing  (V,) as in `Triangulation`
+
+    Returns what is wrong with the loops if they bound no domain.  GEOS proposes a constrained Delaunay
+    triangulation, which is checked exactly.  If it fails (near-degenerate loops), the vertices are inserted
+    into a big triangle, the boundary is recovered, and its inside is cut out: exact from end to end.
     """
     obstacle = why_not_simple(points, loops)
     if obstacle:
@@ -37,8 +39,8 @@ def triangulate_polygon(points: np.ndarray, loops: list[np.ndarray], spacing: np
     return Triangulation(points, corners, spacing)
 
 
-def is_triangulation_of(points: np.ndarray, corners: np.ndarray, rim: np.ndarray) -> bool:
-    """All of `corners` (T, 3) counter-clockwise, each edge in two of them, but `rim` (E, 2) in one as directed."""
+def is_triangulation_of(points: np.ndarray, corners: np.ndarray, boundary: np.ndarray) -> bool:
+    """All of `corners` (T, 3) counter-clockwise, each edge in two of them, but `boundary` (E, 2) in one as directed."""
     if not len(corners) or (signs(points, *corners.T) <= 0).any():
         return False
     count = len(points)
@@ -48,7 +50,7 @@ def is_triangulation_of(points: np.ndarray, corners: np.ndarray, rim: np.ndarray
     # What has no edge back, seen from its other side.
     single = np.sort(back[there[found] != back])
     unique = bool((there[1:] != there[:-1]).all())
-    return unique and np.array_equal(single, np.sort(rim[:, 1] * count + rim[:, 0]))
+    return unique and np.array_equal(single, np.sort(boundary[:, 1] * count + boundary[:, 0]))
 
 
 def _proposed(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray | None:
@@ -60,19 +62,19 @@ def _proposed(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray | None:
     if not polygon.is_valid:
         return None
     corners = _named(points, np.concatenate(loops), shapely.constrained_delaunay_triangles(polygon))
-    rim = np.concatenate([loop_edges(loop) for loop in loops])
-    return corners if corners is not None and is_triangulation_of(points, corners, rim) else None
+    boundary = np.concatenate([loop_edges(loop) for loop in loops])
+    return corners if corners is not None and is_triangulation_of(points, corners, boundary) else None
 
 
 def _named(points: np.ndarray, vertices: np.ndarray, pieces: Any) -> np.ndarray | None:
-    """(T, 3) GEOS's triangles as rows of `points`, none clockwise; of `vertices` in one place the first is meant."""
+    """(T, 3) GEOS's triangles as rows of `points`, none clockwise; of `vertices` in one position the first is meant."""
     import shapely
 
-    places = shapely.get_coordinates(shapely.get_parts(pieces))
-    if not len(places) or len(places) % 4:
+    positions = shapely.get_coordinates(shapely.get_parts(pieces))
+    if not len(positions) or len(positions) % 4:
         return None
     known, first = np.unique(points[vertices, 0] + 1j * points[vertices, 1], return_index=True)
-    wanted = (places[:, 0] + 1j * places[:, 1]).reshape(-1, 4)[:, :3]
+    wanted = (positions[:, 0] + 1j * positions[:, 1]).reshape(-1, 4)[:, :3]
     found = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
     if (known[found] != wanted).any():
         return None
@@ -85,42 +87,44 @@ def _named(points: np.ndarray, vertices: np.ndarray, pieces: Any) -> np.ndarray 
 def triangulate_with(
     points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray, inner: np.ndarray, segments: np.ndarray
 ) -> Triangulation | None:
-    """The domain on the left of simple `loops` with those of the vertices `inner` (N,) that lie in it; None if hard.
+    """The domain on the left of simple `loops` with the vertices of `inner` (N,) that lie in it; None if this fails.
 
-    segments (K, 2) edges that are to be there, and locked.  At once what `triangulate_polygon`, `insert` and
-    `recover` do step by step: GEOS's Delaunay triangulation of all the vertices in a big triangle, in which the
-    rim and the segments are recovered.  Checked exactly; Delaunay but for the edges asked for.
+    segments  (K, 2) edges that must be there, and are locked
+
+    Does at once what `triangulate_polygon`, `insert` and `recover` do step by step: GEOS triangulates all the
+    vertices in a big triangle, and the boundary and the segments are recovered in it.  The result is checked
+    exactly, and is Delaunay except at the edges asked for.
     """
     import shapely
 
-    rim = np.concatenate([loop_edges(loop) for loop in loops])
-    # Those outside would only stand in the rim's way.
-    vertices = np.concatenate([rim[:, 0], inner[winding(points, inner, rim) == 1]])
+    boundary = np.concatenate([loop_edges(loop) for loop in loops])
+    # Vertices outside would only hinder the recovery of the boundary.
+    vertices = np.concatenate([boundary[:, 0], inner[winding(points, inner, boundary) == 1]])
     more, big = _with_big_triangle(points, vertices)
     names = np.concatenate([vertices, big])
     try:
         with np.errstate(all="ignore"):
             pieces = shapely.delaunay_triangles(shapely.MultiPoint(more[names]))
-    except shapely.errors.GEOSException:  # "could not locate vertex", where places are all but the same
+    except shapely.errors.GEOSException:  # "could not locate vertex", where positions are all but the same
         return None
     corners = _named(more, names, pieces)
     if corners is None or not is_triangulation_of(more, corners, loop_edges(big)):
         return None
     work = Triangulation(more, corners, np.zeros(len(more)))
-    if recover(work, np.concatenate([rim, segments])):
+    if recover(work, np.concatenate([boundary, segments])):
         return None
-    made = Triangulation(points, _enclosed(work, rim), spacing)
+    made = Triangulation(points, _enclosed(work, boundary), spacing)
     if recover(made, segments):
         return None
     made.flip_to_delaunay(np.arange(len(made.corners)))
-    _spread_inward(made.spacing, made.corners, rim)
+    _spread_inward(made.spacing, made.corners, boundary)
     return made
 
 
-def _spread_inward(spacing: np.ndarray, corners: np.ndarray, rim: np.ndarray) -> None:
-    """Give the vertices of `corners` (T, 3) inside the `rim` (E, 2) the mean of their neighbours', ring by ring."""
+def _spread_inward(spacing: np.ndarray, corners: np.ndarray, boundary: np.ndarray) -> None:
+    """Give vertices of `corners` (T, 3) inside the `boundary` (E, 2) the mean of their neighbours, ring by ring."""
     known = np.zeros(len(spacing), bool)
-    known[rim] = True
+    known[boundary] = True
     tail, head = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     while len(rows := np.flatnonzero(known[tail] & ~known[head])):
         total = np.bincount(head[rows], spacing[tail[rows]], len(spacing))
@@ -131,19 +135,23 @@ def _spread_inward(spacing: np.ndarray, corners: np.ndarray, rim: np.ndarray) ->
 
 
 def _cut_out(points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray) -> np.ndarray | Obstacle:
-    """(T, 3) the same by exact steps only: a big triangle, the vertices, the rim, and what is on its left."""
-    rim = np.concatenate([loop_edges(loop) for loop in loops])
-    vertices = distinct(rim)
+    """(T, 3) the same by exact steps only: a big triangle, the vertices, the boundary, and what is on its left."""
+    boundary = np.concatenate([loop_edges(loop) for loop in loops])
+    vertices = distinct(boundary)
     more, big = _with_big_triangle(points, vertices)
     work = Triangulation(more, big[None], np.zeros(len(more)))
     refused = work.insert(vertices, np.zeros(len(vertices), np.int64))
     if len(refused):
-        return Obstacle("vertex {} of the rim is in the place of another", (int(refused[0]),))
-    obstacle = recover(work, rim)
+        return Obstacle("vertex {} of the boundary is in the position of another", (int(refused[0]),))
+    obstacle = recover(work, boundary)
     if obstacle:
         return obstacle
-    corners = _enclosed(work, rim)
-    return corners if is_triangulation_of(points, corners, rim) else Obstacle("the rim does not enclose one domain")
+    corners = _enclosed(work, boundary)
+    return (
+        corners
+        if is_triangulation_of(points, corners, boundary)
+        else Obstacle("the boundary does not enclose one domain")
+    )
 
 
 def _with_big_triangle(points: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -153,12 +161,12 @@ def _with_big_triangle(points: np.ndarray, vertices: np.ndarray) -> tuple[np.nda
     return np.concatenate([points, big]), len(points) + np.arange(3)
 
 
-def _enclosed(work: Triangulation, rim: np.ndarray) -> np.ndarray:
-    """(T, 3) the triangles on the left of the locked edges `rim` (E, 2)."""
+def _enclosed(work: Triangulation, boundary: np.ndarray) -> np.ndarray:
+    """(T, 3) the triangles on the left of the locked edges `boundary` (E, 2)."""
     count = len(work.points)
     keys = work.corners.ravel() * count + work.corners[:, [1, 2, 0]].ravel()
     inside = np.zeros(len(work.corners), bool)
-    front = np.flatnonzero(among(keys, rim[:, 0] * count + rim[:, 1])) // 3
+    front = np.flatnonzero(among(keys, boundary[:, 0] * count + boundary[:, 1])) // 3
     while len(front):
         inside[front] = True
         h = (3 * front[:, None] + np.arange(3)).ravel()

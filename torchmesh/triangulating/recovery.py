@@ -33,11 +33,12 @@ class _Exact:
 
 
 def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
-    """Flip until each of `segments` (K, 2) is an edge, and lock it; what stands in the way, if anything.
+    """Flip edges until each of `segments` (K, 2) is an edge, and lock it.
 
-    Always flips the edge from the vertex w farthest from the line on its left to w's farthest
-    neighbour z across the line.  That quadrilateral is strictly convex at both (ties go to the
-    vertex farther along), w never comes back, so it ends; Sloan 1993 leaves that open.
+    Returns the obstacle if a segment passes through a vertex, crosses a locked edge, or leaves the domain.
+    Each flip takes the edge from w, the vertex on the left that is farthest from the line, to z, the farthest
+    neighbour of w across the line.  That quadrilateral is strictly convex at both (ties go to the vertex
+    farther along), and w never comes back, so the flips end; Sloan 1993 leaves that open.
     """
     if not len(segments):
         return None

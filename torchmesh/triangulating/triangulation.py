@@ -1,4 +1,4 @@
-"""A triangulation under construction: vertices go in, edges are flipped and recovered, no sign is guessed.
+"""A triangulation under construction: vertices are inserted and edges flipped; every sign is exact.
 
 Every step starts from counter-clockwise triangles and ends with them, by exact orientation signs.
 Half-edges are those of `connectivity`: h = 3 * triangle + corner.  A vertex goes in as a fan:
@@ -30,11 +30,11 @@ _NONE = np.zeros(0, np.int64)
 
 
 class Triangulation:
-    """Counter-clockwise triangles over some of the points, in place.
+    """Counter-clockwise triangles over some of the points; operations change them in place.
 
-    points   (V, 2) float64; of the vertices not yet in, the wanted place
+    points   (V, 2) float64; of the vertices not inserted yet, the position wanted
     corners  (T, 3) int64 rows of points
-    twin     (3T,) int64, -1 on the rim
+    twin     (3T,) int64, -1 on the boundary
     locked   (3T,) bool, edges that no flip may remove and no vertex may split
     spacing  (V,) the length of edge wanted at each vertex; a new vertex takes the mean of its fan
     """
@@ -54,9 +54,9 @@ class Triangulation:
     def insert(self, vertices: np.ndarray, home: np.ndarray, seed: int = 0) -> np.ndarray:
         """Put `vertices` (N,) in where `points` has them; `home` (N,) is a closed triangle around each.
 
-        Returns those that cannot go in: in the place of another vertex, on the rim, or on a locked
-        edge.  Each waiting vertex knows its triangle and is handed on when that triangle splits or
-        flips, so nothing is ever searched for.
+        Returns the vertices that cannot be inserted: in the position of another vertex, on the boundary,
+        or on a locked edge.  Each waiting vertex knows its triangle, and is handed on when that triangle
+        is split or flipped, so no search is needed.
         """
         order = np.random.default_rng(seed).permutation(len(vertices))
         waiting, home = vertices[order], home[order]
@@ -207,8 +207,8 @@ class Triangulation:
     def _move(self, old: np.ndarray, new: np.ndarray, partner: np.ndarray, lock: np.ndarray) -> None:
         """Half-edges `old` are now called `new`; partner and lock are what they had."""
         order = np.argsort(old)
-        place = np.minimum(np.searchsorted(old[order], partner), len(old) - 1)
-        partner = np.where(old[order][place] == partner, new[order][place], partner) if len(old) else partner
+        found = np.minimum(np.searchsorted(old[order], partner), len(old) - 1)
+        partner = np.where(old[order][found] == partner, new[order][found], partner) if len(old) else partner
         self.twin[new] = partner
         self.twin[partner[partner >= 0]] = new[partner >= 0]
         self.locked[new] = lock

@@ -91,7 +91,7 @@ class BoundaryPath:
 
     @classmethod
     def of(cls, batch: MeshBatch, new_points: Tensor, straight: bool = False) -> "BoundaryPath":
-        """From the fixed vertices' places in `batch` to their rows of `new_points` (V, 2)."""
+        """From the positions of the fixed vertices in `batch` to their rows of `new_points` (V, 2)."""
         start, end = batch.points.to(torch.float64), new_points.to(torch.float64)
         end = torch.where(batch.fixed[:, None], end, start)
         body, count = _bodies(batch)
@@ -131,11 +131,11 @@ class BoundaryPath:
         return bool((self.angle != 0).any())
 
     def at(self, t: Tensor) -> Tensor:
-        """(V, 2) the places at t (B,), in [0, 1] and each mesh its own; free vertices where they started."""
+        """(V, 2) the positions at t (B,), in [0, 1], one for each mesh; free vertices stay where they started."""
         t = spread(t.to(torch.float64), self.point_offsets)[:, None]
-        place = torch.where(t >= 1, self.end, torch.lerp(self.start, self.end, t))
+        position = torch.where(t >= 1, self.end, torch.lerp(self.start, self.end, t))
         if not self.turns:
-            return place
+            return position
         rows = ((self.angle[self.body] != 0) & (t[:, 0] < 1)).nonzero().squeeze(1)
         t, body = t[rows], self.body[rows]
         angle = self.angle[body]
@@ -143,17 +143,17 @@ class BoundaryPath:
         # The goal, turned back, is where the body would go if it did not turn.
         back = _turned(self.end[rows] - self.goal[body], -angle)
         centre = torch.lerp(self.origin[body], self.goal[body], t)
-        place = place.clone()
-        place[rows] = centre + _turned(torch.lerp(p, back, t), angle * t[:, 0])
-        return place
+        position = position.clone()
+        position[rows] = centre + _turned(torch.lerp(p, back, t), angle * t[:, 0])
+        return position
 
 
 def _turned(points: Tensor, angle: Tensor) -> Tensor:
     """`points` (N, 2) turned counter-clockwise by `angle` (N,) about the origin."""
-    values, place = angle.unique(return_inverse=True)
+    values, body = angle.unique(return_inverse=True)
     # As few as there are bodies, one by one for the same bits wherever they stand.
-    cosine = values.new_tensor([math.cos(a) for a in values.tolist()])[place]
-    sine = values.new_tensor([math.sin(a) for a in values.tolist()])[place]
+    cosine = values.new_tensor([math.cos(a) for a in values.tolist()])[body]
+    sine = values.new_tensor([math.sin(a) for a in values.tolist()])[body]
     x, y = points.unbind(1)
     return torch.stack([x * cosine - y * sine, x * sine + y * cosine], 1)
 
@@ -164,15 +164,15 @@ def _bodies(batch: MeshBatch) -> tuple[Tensor, int]:
     from scipy.sparse.csgraph import connected_components
 
     count = len(batch.points)
-    rim = connectivity.boundary_edges(batch.triangles, batch.twin)
-    on_rim = torch.zeros(count, dtype=torch.bool, device=rim.device)
-    on_rim[rim.reshape(-1)] = True
-    inner = batch.constrained_edges[~on_rim[batch.constrained_edges].any(1)]
-    ends = torch.cat([rim, inner])
+    boundary = connectivity.boundary_edges(batch.triangles, batch.twin)
+    on_boundary = torch.zeros(count, dtype=torch.bool, device=boundary.device)
+    on_boundary[boundary.reshape(-1)] = True
+    inner = batch.constrained_edges[~on_boundary[batch.constrained_edges].any(1)]
+    ends = torch.cat([boundary, inner])
     i, j = ends.cpu().numpy().T
     graph = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(count, count))
-    label = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64)).to(rim.device)
-    used = torch.zeros(count, dtype=torch.bool, device=rim.device)
+    label = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64)).to(boundary.device)
+    used = torch.zeros(count, dtype=torch.bool, device=boundary.device)
     used[ends.reshape(-1)] = True
     names = label[used].unique()
     return torch.where(used, torch.searchsorted(names, label), len(names)), len(names)

@@ -15,7 +15,7 @@ def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
 
     new_points  (V, 2) in the batch's unit; the rows of fixed vertices count
 
-    Each interior vertex keeps its place as a weighted mean of its neighbours, with the P1
+    Each interior vertex stays the same weighted mean of its neighbours, with the P1
     stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
     Vavasis, Analysis of and workarounds for element reversal, BIT 50, 2010).  A large motion may
     invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
@@ -34,17 +34,19 @@ def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
     bad = batch.fixed & ~target.isfinite().all(1)
     if bool(bad.any()):
         row = int(bad.nonzero()[0, 0])
-        raise InvalidMeshError(f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite place")
+        raise InvalidMeshError(
+            f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite position"
+        )
     refuse_inverted(batch, f"; {what} starts from a valid mesh, so improve it first")
     return torch.where(batch.fixed[:, None], target, batch.points)
 
 
 def relax(batch: MeshBatch) -> MeshBatch:
-    """Every free vertex to the mean of its neighbours, whatever its place was.
+    """Move every free vertex to the mean of its neighbours, wherever it was.
 
     With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
     Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.
     """
     one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
-    places = harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points, batch.point_offsets)
-    return batch.with_points(places)
+    points = harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points, batch.point_offsets)
+    return batch.with_points(points)
