@@ -1,4 +1,4 @@
-"""Edge collapses in conflict-free rounds: a free vertex goes, its neighbour takes its triangles over.
+"""Edge collapses in conflict-free rounds: a free vertex is removed, and its neighbour takes over its triangles.
 
            s                       s
          / | \\                   / | \\
@@ -8,7 +8,7 @@
          \\ | /                  \\ | /
            r                       r
 
-No two vertices that go in a round are neighbours, so no two collapses share a triangle.
+No two vertices that are removed in one round are neighbours, so no two collapses share a triangle.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from torch import Tensor
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from .mutable import Editable, all_upright, fan_quality, independent, length, within_budget
 
-# Goes at choosing what to collapse in a round: each leaves about a third of what could still join.
+# How often a round chooses among the collapses that remain possible: each choice leaves about a third of them.
 _GOES = 3
 
 
@@ -65,10 +65,10 @@ def evaluate(e: Editable, h: Tensor) -> Outcome:
     there = out >= 0
     a, b = e.head(out), e.vertex[previous_in_triangle(out)]
     kept = there & (a != w[:, None]) & (b != w[:, None])
-    rim = ((e.twin < 0) & (e.vertex >= 0)).nonzero().squeeze(1)
-    fans, last = torch.bincount(e.vertex[rim], minlength=len(e.x)), torch.full_like(e.mesh, -1)
-    # On the boundary one neighbour is the head of no half-edge.
-    last[e.head(rim)] = e.vertex[rim]
+    boundary = ((e.twin < 0) & (e.vertex >= 0)).nonzero().squeeze(1)
+    fans, last = torch.bincount(e.vertex[boundary], minlength=len(e.x)), torch.full_like(e.mesh, -1)
+    # One neighbour of a boundary vertex is the head of no half-edge from it.
+    last[e.head(boundary)] = e.vertex[boundary]
     neighbours = torch.cat([torch.where(beside >= 0, e.head(beside), -1), last[w][:, None]], 1)
     common = ((a[:, :, None] == neighbours[:, None]) & there[:, :, None]).sum((1, 2))
     # A boundary vertex where several fans meet stays as it is.
@@ -106,7 +106,7 @@ def collapse(e: Editable, h: Tensor) -> None:
     new = torch.arange(len(e.x), device=h.device)
     new[u] = w
     e.vertex = torch.where(e.vertex >= 0, new[e.vertex], -1)
-    # The outer half-edges of the dead triangles live on as the twins of their inner ones; two dead
+    # The twins of the outer half-edges of the removed triangles become twins of each other.  Two removed
     # triangles may be neighbours.
     gone, partner = torch.cat([h1, g2]), torch.cat([e.twin[h2], e.twin[g1]])
     stands_for = torch.arange(len(e.twin), device=h.device)
@@ -148,7 +148,7 @@ def collapse_rounds(
     """
     total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
     going = torch.ones_like(total, dtype=torch.bool) if budget is None else budget > 0
-    # Half-edges (the lower of each edge) that were refused, and round which nothing has changed since.
+    # Edges, as their lower half-edge, that were refused and near which nothing has changed since.
     asleep = torch.zeros(len(e.twin), dtype=torch.bool, device=e.x.device)
     every = torch.arange(len(e.twin), device=e.x.device)
     for _ in range(max_rounds):
@@ -189,7 +189,7 @@ def collapse_rounds(
 def _apart(tail: Tensor, claims: Tensor, key: Tensor, count: int) -> Tensor:
     """(M,) rows of collapses of which none takes a vertex (N,) that another claims (N, K), those of low key first."""
     rows, chosen = torch.arange(len(tail), device=tail.device), []
-    # The last place answers for -1.
+    # The last entry stands for -1.
     taken = torch.zeros(count + 1, dtype=torch.bool, device=tail.device)
     for _ in range(_GOES):
         first = independent(tail[rows][:, None], claims[rows], key[rows], count)

@@ -1,8 +1,8 @@
-"""A mesh under the knife: triangles and vertices that come and go, in bare tensors that know their twins.
+"""Meshes whose vertices and triangles come and go, as bare tensors that know their half-edge twins.
 
-Rows of dead triangles hold -1 until `compact` lays the living ones of each mesh end to end again;
-new rows go to the end, or into dead rows of the same mesh where numbers must stay.
-`collapsing` and `splitting` do the cutting.
+The rows of a removed triangle hold -1 until `compact` lays the remaining ones of each mesh end to end again.
+New rows are added at the end, or take removed rows of the same mesh where numbers must stay.  The modules
+`splits` and `collapses` change such meshes.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,15 @@ from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from ..mesh.predicates import orientation
 from ..mesh.triangle import SQRT3
 
-# Ranks that differ by less than the inverse count as near.
+# Ranks that differ by less than an eighth count as equal in `shuffled`.
 _STEPS = 8
 
 
 @dataclass(eq=False)
 class Editable:
-    """Meshes whose rows may die and be added; changed in place.
+    """Meshes whose rows may be removed and added; they are changed in place.
+
+    "Dead" are removed rows, "living" the others.
 
     x, y      (V,) float64, in any power of two times the caller's unit
     size      (V,) float64, the edge length wanted at each vertex, in the same unit
@@ -31,8 +33,8 @@ class Editable:
     twin      (3T,) int64
     locked    (3T,) bool, half-edges (both of an edge) that must stay
     alive     (V,) bool
-    dtype     precision of the caller's coordinates: new places are rounded to it
-    fresh     the next name for a vertex
+    dtype     precision of the caller's coordinates; new positions are rounded to it
+    fresh     the next name to give to a vertex
     births    list of (N, 3): name of the new vertex and of the two ends of the edge it halves
     meshes    how many there are
     metric    (V, 3) float64, the metric at each vertex, of determinant 1; None: that of the plane
@@ -76,10 +78,10 @@ class Editable:
         return 2 * length(dx, dy, metric) / (self.size[u] + self.size[w])
 
     def shuffled(self, h: Tensor, rank: Tensor) -> Tensor:
-        """(N,) int64 keys that order the edges h by `rank` (N,) coarsely, and as good as at random among near equals.
+        """(N,) int64 keys that order the edges h by `rank` (N,) coarsely, and nearly at random among equals.
 
-        Neighbours in a smooth order wait for each other; in a random one many can go at once.  Drawn from
-        the bits of the coordinates, so the same for a mesh alone as in a batch.
+        In a smooth order neighbours wait for each other; in a random order many can go in one round.  The keys
+        are drawn from the bits of the coordinates, so that a mesh has the same ones alone as in a batch.
         """
         u, w = self.vertex[h], self.head(h)
         bits = [v.view(torch.int64) for v in (self.x[u], self.y[u], self.x[w], self.y[w])]
@@ -100,7 +102,7 @@ class Editable:
 
     def around(self, v: Tensor) -> Tensor:
         """(N, K) the half-edges from each of the vertices v (N,), ascending, -1 as padding."""
-        # The last place answers for dead triangles.
+        # The last entry stands for the -1 of dead triangles.
         asked = torch.zeros(len(self.x) + 1, dtype=torch.bool, device=v.device)
         asked[v] = True
         h = asked[self.vertex].nonzero().squeeze(1)
@@ -111,7 +113,7 @@ class Editable:
         return torch.where(column < count[v][:, None], h[place.clamp_max(len(h) - 1)], -1)
 
     def rounded(self, values: Tensor) -> Tensor:
-        """Places as the caller can store them."""
+        """Coordinates as the caller can store them."""
         return values.to(self.dtype).to(values.dtype)
 
     def middle(self, h: Tensor) -> tuple[Tensor, Tensor]:
@@ -174,7 +176,7 @@ def length(dx: Tensor, dy: Tensor, metric: Tensor | None = None) -> Tensor:
 def fan_quality(
     px: Tensor, py: Tensor, ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, metric: Tensor | None = None
 ) -> Tensor:
-    """Inverse mean ratio (Munson 2007) of the triangles p a b, infinite where they are not upright.
+    """Inverse mean ratio (Munson 2007) of the triangles p a b, infinite where they are inverted.
 
     metric  (..., 3) in which it is measured, of any determinant; None: that of the plane
     """
@@ -217,7 +219,7 @@ def independent(centres: Tensor, claims: Tensor, rank: Tensor, count: int) -> Te
     row, column = (centres >= 0).nonzero(as_tuple=True)
     best = torch.full((count + 1,), len(order), dtype=torch.int64, device=order.device)
     best.scatter_reduce_(0, centres[row, column], place[row], "amin")
-    # The last place answers for -1.
+    # The last entry stands for -1.
     return (best[claims] >= place[:, None]).all(1)
 
 
@@ -232,20 +234,15 @@ def within_budget(owner: Tensor, rank: Tensor, budget: Tensor) -> Tensor:
     return inside
 
 
-def living(e: Editable) -> Tensor:
-    """(V,) the old row of each vertex that `compact` keeps."""
-    kept = e.alive.nonzero().squeeze(1)
-    return kept[e.mesh[kept].argsort(stable=True)]
-
-
 def compact(e: Editable) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The living rows, each mesh's together: rows of vertices, triangles (T, 3), locked edges (K, 2), counts.
+    """The living rows, with those of each mesh together.
 
     Returns the old row of each vertex (V,), the triangles in new rows (T, 3), the locked edges that
     are not on the boundary (K, 2), and the vertices and triangles of each mesh (B,).
     Within a mesh rows keep their order.
     """
-    kept = living(e)
+    kept = e.alive.nonzero().squeeze(1)
+    kept = kept[e.mesh[kept].argsort(stable=True)]
     new = torch.full_like(e.mesh, -1)
     new[kept] = torch.arange(len(kept), device=kept.device)
     faces = e.triangles[e.triangles[:, 0] >= 0]

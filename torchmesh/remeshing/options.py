@@ -1,4 +1,4 @@
-"""What is asked of remeshing, and which meshes need vertices moved about: light, for those that do not."""
+"""What is asked of remeshing."""
 
 from dataclasses import dataclass, field
 

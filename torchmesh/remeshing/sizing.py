@@ -74,7 +74,7 @@ def size_field(
             return uniform_sizes(batch, wanted)
         edges = connectivity.edges(batch.triangles, batch.twin)
         size = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)[0]
-        # A vertex without edges, or with its neighbours all in its place, has no length to keep.
+        # A vertex without edges, or at the position of all its neighbours, has no length to keep.
         return torch.where(size > 0, size, 1.0)
     values = sizes(batch.points) if callable(sizes) else sizes
     values = torch.as_tensor(values)
@@ -293,7 +293,7 @@ def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[
 
 
 def log(values: Tensor) -> Tensor:
-    """Of numpy, where the bits of a result do not depend on its place in the vector."""
+    """The logarithm by numpy, whose bits do not depend on where in a vector a number stands."""
     return torch.from_numpy(np.log(values.cpu().numpy())).to(values.device)
 
 
