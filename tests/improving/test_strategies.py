@@ -16,21 +16,26 @@ TANGLED = ["tell_the_hopeless", "untangle_by_averaging"]
 FLIPS = ["untangle_with_flips", "untangle_by_retriangulation"]
 KEPT = ["untangle_with_triangles_kept"]
 GOOD = ["flip_and_smooth", "smooth_at_last"]
+USUAL = [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]
+END = ["compare_sizes", "certify"]
 FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
 
 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (ImproveOptions(), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]),
-        (ImproveOptions.fast(), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]),
-        (ImproveOptions.paper(), ["tell_the_hopeless", "paper"]),
-        (ImproveOptions(topology="keep"), [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last"]),
-        (ImproveOptions(topology="full"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", *FULL]),
-        (ImproveOptions(boundary="slide"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]),
+        (ImproveOptions(), [*USUAL, *END]),
+        (ImproveOptions.fast(), [*USUAL, *END]),
+        (ImproveOptions.paper(), ["tell_the_hopeless", "paper", "certify"]),
+        (ImproveOptions(topology="keep"), [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last", *END]),
+        (ImproveOptions(topology="full"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", *FULL, *END]),
+        (
+            ImproveOptions(boundary="slide"),
+            [*USUAL, *END],
+        ),
         (
             ImproveOptions(topology="keep", smooth=SmoothOptions(targets=target_from(meshes.grid()))),
-            [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last"],
+            [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last", *END],
         ),
     ],
     ids=["default", "fast", "paper", "keep", "full", "slide", "targets"],

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ..errors import MeshWarning
 from ..mesh.measure import Quality
+from ..remeshing.sizing import SizeConformity
 from .report import Progress, Step
 from .runner import Job, Log
 from .state import State
@@ -107,7 +108,7 @@ class Shard:
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     certified: Tensor
-    sizes: Tensor | None
+    conformity: SizeConformity | None
     steps: list[list[Step]]
 
     @classmethod
@@ -115,7 +116,7 @@ class Shard:
         """What is sent of a finished state."""
         return cls(
             state.mesh.points, state.mesh.triangles, state.quality, state.status, state.reasons, state.notes,
-            state.certified, state.sizes, log.steps,
+            state.certified, state.conformity, log.steps,
         )  # fmt: skip
 
     @staticmethod
@@ -124,10 +125,6 @@ class Shard:
         starts = itertools.accumulate((len(s.points) for s in shards), initial=0)
         triangles = torch.cat([s.triangles + start for s, start in zip(shards, starts, strict=False)])
         columns = [f.name for f in fields(Quality)]
-        sizes = None
-        if any(s.sizes is not None for s in shards):
-            none = [s.points.new_full((len(s.points),), torch.nan, dtype=torch.float64) for s in shards]
-            sizes = torch.cat([n if s.sizes is None else s.sizes for s, n in zip(shards, none, strict=True)])
         return replace(
             state,
             mesh=replace(state.mesh, points=torch.cat([s.points for s in shards]), triangles=triangles),
@@ -136,8 +133,19 @@ class Shard:
             reasons=tuple(text for s in shards for text in s.reasons),
             notes=tuple(text for s in shards for text in s.notes),
             certified=torch.cat([s.certified for s in shards]),
-            sizes=sizes,
+            conformity=_joined_conformity(shards),
         )
+
+
+def _joined_conformity(shards: list[Shard]) -> SizeConformity | None:
+    if all(s.conformity is None for s in shards):
+        return None
+    rows = [torch.full_like(s.quality.mean, torch.nan) for s in shards]
+    columns = (
+        [n if s.conformity is None else getattr(s.conformity, f.name) for s, n in zip(shards, rows, strict=True)]
+        for f in fields(SizeConformity)
+    )
+    return SizeConformity(*(torch.cat(column) for column in columns))
 
 
 def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Iterator[_R]:

@@ -1,16 +1,14 @@
 """`improve`: the strategy on a batch, its large meshes in parts, its many meshes over processes, and the report."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
-from ..mesh.ragged import segment_count, spread
-from ..optimising.metric_field import MetricField
-from ..remeshing.sizing import SizeConformity, size_conformity, size_field
+from ..mesh.ragged import segment_count
 from ..status import Status
 from ..untangling.untangling import check_reference
 from .forked import can_fork, in_processes, one_thread
@@ -20,6 +18,9 @@ from .report import Progress, Report, left_over
 from .runner import Job, Log
 from .state import Edits, State
 from .strategies import improve_batch
+
+if TYPE_CHECKING:
+    from ..remeshing.remeshing import RemeshInfo
 
 
 def improve(
@@ -70,17 +71,6 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
 
 def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
     """What is to be said of a finished state."""
-    from ..remeshing.remeshing import RemeshInfo
-
-    remeshed: RemeshInfo | None = None
-    sizes = _conformity(state, options)
-    if options.topology == "full":
-        edits = Edits.none(state.status) if state.edits is None else state.edits
-        remeshed = RemeshInfo(
-            edits.splits, edits.collapses, edits.flips, edits.rounds, state.vertex_names.vertex_map(),
-            _sizes_wanted(state), _remeshed_conformity(state),
-        )  # fmt: skip
-        sizes = _of_valid(remeshed.conformity, state.valid)
     return Report(
         status=state.status,
         valid=state.valid,
@@ -89,8 +79,8 @@ def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
         steps=log.steps,
         messages=[_message(b, state, log, options) for b in range(len(state))],
         moved=_moved(state),
-        remeshed=remeshed,
-        sizes=sizes,
+        remeshed=_remeshed(state) if options.topology == "full" else None,
+        sizes=state.conformity,
     )
 
 
@@ -115,33 +105,13 @@ def _moved(state: State) -> Tensor:
     return segment_count(elsewhere, given.point_offsets)
 
 
-def _sizes_wanted(state: State) -> Tensor:
-    """(V,) the edge lengths that remeshing aimed at, and those there are in meshes that were not remeshed."""
-    there = size_field(state.mesh, "keep")
-    return there if state.sizes is None else torch.where(state.sizes.isnan(), there, state.sizes)
+def _remeshed(state: State) -> "RemeshInfo":
+    from ..remeshing.remeshing import RemeshInfo
 
-
-def _remeshed_conformity(state: State) -> SizeConformity:
-    from ..remeshing.metric_sizing import metric_conformity
-
-    wanted = _sizes_wanted(state)
-    if isinstance(state.targets, MetricField):
-        return metric_conformity(state.mesh, wanted, state.targets.at_vertices(state.mesh))
-    return size_conformity(state.mesh, wanted)
-
-
-def _conformity(state: State, options: ImproveOptions) -> SizeConformity | None:
-    """How well edges follow the sizes that were asked for where vertices keep their number; None: none were."""
-    if state.sizes is None or options.topology == "full":
-        return None
-    asked = options.remesh.sizes
-    if not (callable(asked) or (isinstance(asked, str) and asked == "uniform")):
-        asked = state.sizes[spread(state.valid, state.mesh.point_offsets)]
-    found = size_conformity(state.mesh.select(state.valid), asked)
-    nothing = torch.full_like(state.quality.mean, torch.nan)
-    return SizeConformity(*(nothing.masked_scatter(state.valid, getattr(found, f.name)) for f in fields(found)))
-
-
-def _of_valid(found: SizeConformity, valid: Tensor) -> SizeConformity:
-    """The figures of the valid meshes; NaN for the others."""
-    return SizeConformity(*(torch.where(valid, getattr(found, f.name), torch.nan) for f in fields(found)))
+    assert state.sizes is not None
+    assert state.conformity is not None
+    edits = Edits.none(state.status) if state.edits is None else state.edits
+    return RemeshInfo(
+        edits.splits, edits.collapses, edits.flips, edits.rounds, state.vertex_names.vertex_map(), state.sizes,
+        state.conformity,
+    )  # fmt: skip

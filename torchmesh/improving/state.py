@@ -20,6 +20,7 @@ from ..mesh.ragged import spread
 from ..mesh.vertex_map import Names, exchange
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, as_targets, narrow
+from ..remeshing.sizing import SizeConformity
 from ..status import Status
 from .options import ImproveOptions
 
@@ -86,6 +87,7 @@ class State:
     averaged   (V, 2) where averaging took the vertices that were given; None: it was not tried
     lively     (V,) bool, vertices round which flips and smoothing may still gain; None: all
     sizes      (V,) edge lengths that were asked for and have travelled with the vertices; None: none were
+    conformity  how well edges follow them, set at the end; None: no sizes were asked for
     names      topology "full": which vertices of the given batch these are; None: all, in their order
     edits      topology "full": what came and went
     """
@@ -103,6 +105,7 @@ class State:
     averaged: Tensor | None = None
     lively: Tensor | None = None
     sizes: Tensor | None = None
+    conformity: SizeConformity | None = None
     names: Names | None = None
     edits: Edits | None = None
 
@@ -229,6 +232,7 @@ class State:
             averaged=by_vertex(self.averaged),
             lively=by_vertex(self.lively),
             sizes=by_vertex(self.sizes),
+            conformity=None if self.conformity is None else _select_columns(self.conformity, at),
             names=None if self.names is None else self.names.select(rows),
             edits=None if self.edits is None else self.edits.select(at),
         )
@@ -265,6 +269,7 @@ class State:
             self,
             status=_put_rows(self.status, at, part.status),
             certified=_put_rows(self.certified, at, part.certified),
+            conformity=_put_conformity(self, at, part),
             reasons=reasons,
             notes=notes,
         )
@@ -308,3 +313,15 @@ def _select_quality(q: Quality, at: Tensor, triangles: Tensor) -> Quality:
 def _put_quality(q: Quality, at: Tensor, triangles: Tensor, part: Quality) -> Quality:
     masks = {f.name: triangles if f.name in _OF_TRIANGLES else at for f in fields(q)}
     return Quality(**{name: _put_rows(getattr(q, name), mask, getattr(part, name)) for name, mask in masks.items()})
+
+
+def _select_columns(found: SizeConformity, at: Tensor) -> SizeConformity:
+    return SizeConformity(*(getattr(found, f.name)[at] for f in fields(found)))
+
+
+def _put_conformity(state: State, at: Tensor, part: State) -> SizeConformity | None:
+    if part.conformity is None:
+        return state.conformity
+    nothing = torch.full_like(state.quality.mean, torch.nan)
+    old = state.conformity or SizeConformity(*(nothing for _ in fields(SizeConformity)))
+    return SizeConformity(*(_put_rows(getattr(old, f.name), at, getattr(part.conformity, f.name)) for f in fields(old)))

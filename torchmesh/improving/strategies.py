@@ -10,7 +10,7 @@ Every mesh goes its own way; the meshes on one stretch of the way travel as one 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Literal
 
@@ -25,8 +25,11 @@ from ..mesh.means import vertex_size
 from ..mesh.neighbourhoods import corners_of, rewired, touching
 from ..mesh.ragged import segment_any
 from ..optimising.lbfgs import LbfgsOptions
+from ..optimising.metric_field import MetricField
 from ..remeshing.criteria import crowded
+from ..remeshing.metric_sizing import metric_conformity
 from ..remeshing.options import RemeshOptions
+from ..remeshing.sizing import SizeConformity, size_conformity, size_field
 from ..smoothing.polishing import bad_triangles
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
@@ -60,13 +63,13 @@ def improve_batch(state: State, log: Log, options: ImproveOptions) -> State:
     run = Runner(log)
     for step in strategy(options):
         state = step(state, run)
-    return certify(state)
+    return state
 
 
 def strategy(o: ImproveOptions) -> list[Step]:
     """The steps of the whole job, in order."""
     if o.method == "paper":
-        return [partial(tell_the_hopeless, o=o), partial(paper, o=o)]
+        return [partial(step, o=o) for step in (tell_the_hopeless, paper, certify)]
     steps = [tell_the_hopeless, untangle_by_averaging]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
@@ -78,7 +81,7 @@ def strategy(o: ImproveOptions) -> list[Step]:
         steps += [polish_the_worst]
     if o.topology == "full":
         steps += [remove_where_there_is_no_room, remesh_the_valid]
-    return [partial(step, o=o) for step in steps]
+    return [partial(step, o=o) for step in [*steps, compare_sizes, certify]]
 
 
 # --- Kim 2017 ---
@@ -320,7 +323,33 @@ def remesh_the_valid(state: State, run: Runner, o: ImproveOptions) -> State:
     return polish_the_worst(state, run, o) if o.smooth.targets is None else state
 
 
-def certify(state: State) -> State:
+# --- the end ---
+
+
+def compare_sizes(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Measure how well edges follow the sizes that were asked for, in the valid meshes; NaN stands for the others."""
+    if o.topology != "full" and state.sizes is None:
+        return state
+    if state.sizes is None or o.topology == "full":
+        # A mesh that was not remeshed has the sizes that it has.
+        there = size_field(state.mesh, "keep")
+        sizes = there if state.sizes is None else torch.where(state.sizes.isnan(), there, state.sizes)
+        state = replace(state, sizes=sizes)
+    part = state.select(state.valid)
+    assert part.sizes is not None
+    asked = o.remesh.sizes
+    by_vertex = o.topology == "full" or not (callable(asked) or (isinstance(asked, str) and asked == "uniform"))
+    wanted = part.sizes if by_vertex else asked
+    if isinstance(part.targets, MetricField):
+        found = metric_conformity(part.mesh, part.sizes, part.targets.at_vertices(part.mesh))
+    else:
+        found = size_conformity(part.mesh, wanted)
+    nothing = torch.full_like(state.quality.mean, torch.nan)
+    columns = (nothing.masked_scatter(state.valid, getattr(found, f.name)) for f in fields(found))
+    return replace(state, conformity=SizeConformity(*columns))
+
+
+def certify(state: State, run: Runner, o: ImproveOptions) -> State:
     """Say of every mesh whether it is valid and its frame is what it was, by signs and edges looked at anew."""
     names = None if state.names is None else state.names.vertex_map()
     stays = state.of_given_vertices(state.origin.stays)
