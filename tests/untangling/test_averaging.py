@@ -1,4 +1,4 @@
-"""Scrambled interiors come back, others are left alone, and soon."""
+"""Scrambled interiors are restored; others come back as they were, after two sweeps."""
 
 import meshes
 import pytest
@@ -6,7 +6,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh import join, relax
-from torchmesh.untangling.averaging import _GLANCE, _Averaging, average
+from torchmesh.untangling.averaging import AverageOptions, _Averaging, average
 
 
 def inverted(mesh: tm.MeshBatch) -> int:
@@ -14,7 +14,7 @@ def inverted(mesh: tm.MeshBatch) -> int:
 
 
 def thrown(mesh: tm.MeshBatch, how: str) -> tm.MeshBatch:
-    """`mesh` with its free vertices in other places."""
+    """`mesh` with its free vertices at other positions."""
     points, middle = mesh.points.clone(), mesh.points[mesh.fixed].mean(0)
     free = (~mesh.fixed).nonzero().squeeze(1)
     if how == "in one point":
@@ -40,7 +40,7 @@ def test_a_scrambled_interior_comes_back_to_the_mean_of_its_neighbours(name, how
     assert inverted(found) == 0
     assert torch.equal(found.points[mesh.fixed], mesh.points[mesh.fixed])
     assert torch.equal(found.triangles, mesh.triangles)
-    # The residual is a thousandth; the places are off by that times how badly the system is conditioned.
+    # The residual is a thousandth; the positions are off by that times the condition of the system.
     extent = float((mesh.points[mesh.fixed].amax(0) - mesh.points[mesh.fixed].amin(0)).max())
     assert float((found.points - relax(mesh).points).abs().max()) < 0.1 * extent
 
@@ -62,7 +62,7 @@ def test_an_interior_that_followed_its_boundary_is_left_as_it_is_at_the_first_gl
     sweeps = []
     monkeypatch.setattr(_Averaging, "sweep", lambda self, sweep=_Averaging.sweep: sweeps.append(sweep(self)))
     assert torch.equal(average(moved).points, moved.points)
-    assert len(sweeps) == _GLANCE
+    assert len(sweeps) == AverageOptions().glance
 
 
 def test_where_no_mean_is_valid_the_better_of_both_comes_back():
@@ -109,3 +109,9 @@ def test_improve_tries_it_first():
     assert report.worked == ["average"]
     assert report.steps[0][1].kept
     assert float(report.quality.max) < 1.6
+
+
+@pytest.mark.parametrize("wrong", [{"sweeps": 0}, {"glance": 0}, {"across": 0}, {"gain": 1}, {"residual": 0}])
+def test_options_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ValueError, match=f"AverageOptions.{next(iter(wrong))}"):
+        AverageOptions(**wrong)

@@ -1,4 +1,4 @@
-"""Step 1 of Kim 2017: rules that say which edges to flip, and rounds of flips that do not touch each other.
+"""Step 1 of Kim 2017: rules that decide which edges to flip, and rounds of flips that share no triangle.
 
 Imports from `mesh` and `optimising`.
 """

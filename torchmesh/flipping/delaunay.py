@@ -21,11 +21,14 @@ _RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
 class FlipOptions:
     """How `flip_to_delaunay` flips.
 
-    rule        "safe": towards a lower sum of |area|, and Delaunay between upright pairs; never more
-                inverted area, never more inverted triangles.  "kim": opposite angles above pi, both
-                new triangles upright (Kim 2017, Step 1)
-    once        an edge made by a flip is not flipped again in this call (one pass of Kim 2017)
-    max_rounds  rounds of conflict-free flips at most
+    rule        "safe": flips lower the sum of |area|, and between upright triangles they make the edge Delaunay.
+                They never add inverted area or inverted triangles.
+                "kim": the opposite angles sum to more than pi and both new triangles are upright
+                (Kim 2017, Step 1).
+                "shape": flips between upright triangles lower the sum of squared inverse mean ratios
+    once        an edge that a flip made is not flipped again in this call (one pass of Kim 2017)
+    max_rounds  number of rounds after which flipping stops.  Every rule ends by itself, so this limit is a
+                safeguard; a round flips any number of edges
     """
 
     rule: Literal["safe", "kim", "shape"] = "safe"
@@ -48,7 +51,7 @@ class FlipOptions:
 class FlipInfo:
     """What `flip_to_delaunay` did.
 
-    flips  (B,) int64 edges flipped in each mesh
+    flips  (B,) int64 number of edges flipped in each mesh
     """
 
     flips: Tensor
@@ -63,11 +66,11 @@ def flip_to_delaunay(
 ) -> tuple[MeshBatch, FlipInfo]:
     """Flip edges until every interior, unconstrained edge between upright triangles is Delaunay.
 
-    Delaunay by exact in-circle signs; edges of four points on one circle stay as they are.
-    Vertices, boundary and constrained edges are untouched; triangles keep their number.
+    Whether an edge is Delaunay is decided by exact in-circle signs.  Edges whose four points lie on one circle are
+    not flipped.  Vertices, boundary edges and constrained edges stay, and so does the number of triangles.
 
-    around  (T,) bool, start from the edges of these triangles only
-    metric  flip, in place of the rule in the options, towards triangles that are equilateral in it
+    around  (T,) bool: start from the edges of these triangles only
+    metric  flip towards triangles that are equilateral in this metric; replaces the rule of the options
     """
     options = options or FlipOptions()
     # A power of two changes no sign and keeps every product of the rules in range.

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..mesh.triangle import Corners, inverse_mean_ratio
+from ..mesh.triangle import Corners
 from ..optimising.jacobian import EdgeMap
-from .rules import Quads, new_signs, old_signs
+from .rules import LEAST_GAIN, Quads, finite_energy, new_pair, new_signs, old_pair, old_signs
 
 
 @dataclass(frozen=True, eq=False)
 class MetricRule:
-    """The flip rule `shape_rule` in a metric: flip when the smoother's energy of the two triangles falls.
+    """The rule `shape_rule` in a metric: flip when the smoother's energy of the two triangles falls.
 
-    The energy of a triangle depends on nothing but its vertices, so the sum over the mesh falls
-    with every flip and rounds cannot cycle.
+    The energy of a triangle depends on its vertices only.  Every flip therefore lowers the sum over the mesh, and
+    the rounds end.
 
     metric  (V, 3) from `MetricField.at_vertices`
     """
@@ -28,11 +28,10 @@ class MetricRule:
 
         def rule(q: Quads) -> tuple[Tensor, Tensor]:
             mu, mw, ms, mr = (self.metric[v] for v in (u, w, s, r))
-            before = _energy(Corners(q.ux, q.uy, q.wx, q.wy, q.sx, q.sy), mu + mw + ms)
-            before = before + _energy(Corners(q.wx, q.wy, q.ux, q.uy, q.rx, q.ry), mw + mu + mr)
-            after = _energy(Corners(q.ux, q.uy, q.rx, q.ry, q.sx, q.sy), mu + mr + ms)
-            after = after + _energy(Corners(q.rx, q.ry, q.wx, q.wy, q.sx, q.sy), mr + mw + ms)
-            wanted = before - after > 1e-10 * before
+            (uws, wur), (urs, rws) = old_pair(q), new_pair(q)
+            before = _energy(uws, mu + mw + ms) + _energy(wur, mw + mu + mr)
+            after = _energy(urs, mu + mr + ms) + _energy(rws, mr + mw + ms)
+            wanted = before - after > LEAST_GAIN * before
             rows = wanted.nonzero().squeeze(1)
             few = Quads(*(v[rows] for v in q))
             wanted[rows] = torch.stack(old_signs(few) + new_signs(few)).amin(0) > 0
@@ -42,5 +41,4 @@ class MetricRule:
 
 
 def _energy(t: Corners, metric: Tensor) -> Tensor:
-    # A flat triangle's infinity must not meet another in a difference.
-    return inverse_mean_ratio(EdgeMap.root_of(metric).corners(t)).clamp_max(1e30).square()
+    return finite_energy(EdgeMap.root_of(metric).corners(t))

@@ -8,9 +8,11 @@
           \\ | /                    \\   /
             r                        r
 
-A round flips the edges that rank first in both their triangles, so no two of them share one; its
-cost is that of the edges still in question, not of the mesh.
+A round flips the edges that rank first in both their triangles, so no two of them share a triangle.  The cost of a
+round grows with the number of edges that are still in question, not with the size of the mesh.
 """
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,9 +20,19 @@ from torch import Tensor
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from .rules import Quads, Rule, VertexRule
 
+# A queue with fewer than 1/16 of all half-edges is sorted; a longer one is marked in a mask, which is then faster.
+_SPARSE = 16
+
+
+# Edges at a time: what one chunk computes stays in the cache.
+_CHUNK = 32768
+
 
 def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> Tensor:
-    """(N,) bool: does the fan of triangles round the tail of each half-edge `start` (N,) have an edge to `target`."""
+    """(N,) bool: does the vertex that the half-edge `start` (N,) leaves have an edge to `target` (N,)?
+
+    Only the edges of one fan are seen: the triangles that one reaches from `start` by turning about its tail.
+    """
     gather = torch.index_select
     found = torch.zeros(len(start), dtype=torch.bool, device=start.device)
     rows = torch.arange(len(start), device=start.device)
@@ -34,7 +46,7 @@ def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> 
         ends.append(rows[~hit & (onward < 0)])
         going = (~hit & (onward >= 0) & (onward != gather(start, 0, rows))).nonzero().squeeze(1)
         rows, here, goal = gather(rows, 0, going), gather(onward, 0, going), gather(goal, 0, going)
-    # Where the fan is open at one end, on from the start the other way.
+    # A fan that ended at the boundary is followed from the start in the other direction, too.
     rows = torch.cat(ends) if ends else rows
     here = twin[start[rows]]
     while len(rows):
@@ -45,6 +57,47 @@ def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> 
         found[rows[hit]] = True
         rows, here = rows[~hit], twin[here[~hit]]
     return found
+
+
+class _HalfEdges(NamedTuple):
+    """The half-edges of all meshes, (3T,) each.  Flips write into `vertex`, `twin`, `locked` and `moved`.
+
+    vertex    the vertex that the half-edge leaves
+    twin      the other half of its edge, -1 on the boundary
+    locked    bool, its edge must stay
+    previous  the half-edge before it in its triangle
+    moved     the slot to which the round has moved it; its own slot between two rounds
+    """
+
+    vertex: Tensor
+    twin: Tensor
+    locked: Tensor
+    previous: Tensor
+    moved: Tensor
+
+    @classmethod
+    def of(cls, triangles: Tensor, twin: Tensor, locked: Tensor) -> "_HalfEdges":
+        """Copies of these arrays."""
+        vertex = triangles.reshape(-1).clone()
+        moved = torch.arange(len(vertex), device=vertex.device)
+        return cls(vertex, twin.clone(), locked.clone(), moved.reshape(-1, 3).roll(1, 1).reshape(-1), moved)
+
+    def apexes(self, h: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+        """The vertices opposite the edge in the triangles of the half-edges h and g."""
+        gather = torch.index_select
+        return gather(self.vertex, 0, gather(self.previous, 0, h)), gather(self.vertex, 0, gather(self.previous, 0, g))
+
+
+class _Question(NamedTuple):
+    """What stays the same through all rounds: coordinates x, y (V,), the rule, and `pinched`.
+
+    pinched  (V,) bool, the vertices where several fans of triangles meet
+    """
+
+    x: Tensor
+    y: Tensor
+    pinched: Tensor
+    rule: Rule | VertexRule
 
 
 def flip_rounds(
@@ -62,149 +115,131 @@ def flip_rounds(
 
     points     (V, 2) coordinates
     triangles  (T, 3) int64; not changed, the result is a new tensor
-    twin       (3T,) int64; likewise
+    twin       (3T,) int64; not changed either
     locked     (3T,) bool half-edges (both of an edge) that must stay
     once       an edge that a flip made is not flipped again
     around     (T,) bool: ask at first only about the edges of these triangles; None: about all
 
-    The log is (F,) int64, the lower-numbered triangle of each flip, for counting them per mesh.
+    The log is (F,) int64, the lower-numbered triangle of each flip, so that flips can be counted per mesh.
     """
     gather = torch.index_select
-    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
-    vertex, twin, locked = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
-    moved = torch.arange(len(vertex), device=vertex.device)
-    before = moved.reshape(-1, 3).roll(1, 1).reshape(-1)
-    best = torch.full((len(triangles),), len(vertex), dtype=torch.int64, device=vertex.device)
-    pinched = torch.bincount(vertex[twin < 0], minlength=len(points)) > 1
+    edges = _HalfEdges.of(triangles, twin, locked)
+    pinched = torch.bincount(edges.vertex[twin < 0], minlength=len(points)) > 1
+    question = _Question(points[:, 0].contiguous(), points[:, 1].contiguous(), pinched, rule)
+    best = torch.full((len(triangles),), len(edges.vertex), dtype=torch.int64, device=triangles.device)
     log = []
     if around is None:
-        queue = (twin > moved).nonzero().squeeze(1)
+        queue = (edges.twin > edges.moved).nonzero().squeeze(1)
     else:
         corner = (around.nonzero() * 3 + torch.arange(3, device=around.device)).reshape(-1)
-        queue = _canonical(corner, twin)
+        queue = _each_edge_once(corner, edges.twin)
     for _ in range(max_rounds):
-        queue = queue[~locked.index_select(0, queue)]
-        h, rank, barred = _eligible(x, y, vertex, twin, before, pinched, queue, rule)
+        queue = queue[~edges.locked.index_select(0, queue)]
+        h, rank, barred = _eligible(edges, question, queue)
         if not len(h):
             break
         # Equal ranks stay in the order of their index: h ascends and the sort is stable.
         h = gather(h, 0, rank.argsort(descending=True, stable=True))
-        chosen = _first_in_both(h, twin, best)
-        chosen &= _first_of_its_key(vertex, twin, before, h, chosen)
+        chosen = _first_in_both(h, edges.twin, best)
+        chosen &= _first_of_its_new_edge(edges, h, chosen)
         flipped, left = h[chosen], h[~chosen]
-        both = torch.cat([flipped, gather(twin, 0, flipped)])
+        both = torch.cat([flipped, gather(edges.twin, 0, flipped)])
         log.append((both // 3).view(2, -1).amin(0))
-        onward = _flip(vertex, twin, locked, moved, before, both, once)
-        waiting = gather(moved, 0, torch.cat([left, barred]))
-        queue = _canonical(torch.cat([waiting, both, gather(before, 0, both)]), twin)
-        moved.scatter_(0, onward, onward)
-    flips = torch.cat(log) if log else torch.zeros(0, dtype=torch.int64, device=vertex.device)
-    return vertex.reshape(-1, 3), twin, flips
+        diagonals = _flip(edges, both, once)
+        waiting = gather(edges.moved, 0, torch.cat([left, barred]))
+        queue = _each_edge_once(torch.cat([waiting, both, gather(edges.previous, 0, both)]), edges.twin)
+        edges.moved.scatter_(0, diagonals, diagonals)
+    flips = torch.cat(log) if log else torch.zeros(0, dtype=torch.int64, device=triangles.device)
+    return edges.vertex.reshape(-1, 3), edges.twin, flips
 
 
-def _canonical(h: Tensor, twin: Tensor) -> Tensor:
+def _each_edge_once(h: Tensor, twin: Tensor) -> Tensor:
     """The interior edges among half-edges h, each once, as its lower half-edge, ascending."""
     other = twin.index_select(0, h)
     lower = torch.minimum(h, other)
     if _SPARSE * len(h) < len(twin):
         return lower[other >= 0].unique()
-    # To mark them among all is faster than to sort many.
     marks = torch.zeros(len(twin) + 1, dtype=torch.bool, device=h.device)
     marks.index_fill_(0, torch.where(other >= 0, lower, len(twin)), True)
     return marks[:-1].nonzero().squeeze(1)
 
 
-# Half-edges of the mesh to one in question, above which few are in question.
-_SPARSE = 16
+def _eligible(edges: _HalfEdges, question: _Question, queue: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The half-edges of the queue that the rule wants flipped and that may be flipped, with their rank.
 
-
-def _eligible(
-    x: Tensor,
-    y: Tensor,
-    vertex: Tensor,
-    twin: Tensor,
-    before: Tensor,
-    pinched: Tensor,
-    queue: Tensor,
-    rule: Rule | VertexRule,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The half-edges of the queue that the rule wants flipped and that may be, with their rank.
-
-    And those it wants flipped whose new edge is there already: they wait until it goes.
-    before   (3T,) int64, the half-edge before each in its triangle
-    pinched  (V,) bool, the vertices where several fans of triangles meet
+    And the half-edges that the rule wants flipped but whose new edge exists already: they wait until it goes.
     """
     rows, ranks = [], []
     for start in range(0, len(queue), _CHUNK):
         part = queue[start : start + _CHUNK]
-        wanted, rank = _ask(x, y, vertex, twin, before, part, rule)
+        wanted, rank = _ask(edges, question, part)
         rows.append(part[wanted])
         ranks.append(rank[wanted])
-    h, rank = torch.cat(rows or [queue]), torch.cat(ranks or [x[:0]])
+    h, rank = torch.cat(rows or [queue]), torch.cat(ranks or [question.x[:0]])
     gather = torch.index_select
-    last_h, last_g = gather(before, 0, h), gather(before, 0, gather(twin, 0, h))
-    s, r = gather(vertex, 0, last_h), gather(vertex, 0, last_g)
-    # Walking one fan tells all edges of a vertex that has only one.
-    from_r = gather(pinched, 0, s)
-    exists = edge_exists(vertex, twin, torch.where(from_r, last_g, last_h), torch.where(from_r, s, r))
-    exists |= from_r & gather(pinched, 0, r)
+    last_h, last_g = gather(edges.previous, 0, h), gather(edges.previous, 0, gather(edges.twin, 0, h))
+    s, r = gather(edges.vertex, 0, last_h), gather(edges.vertex, 0, last_g)
+    # Turning about a vertex shows all its edges if it has one fan; of two pinched vertices neither can be trusted.
+    from_r = gather(question.pinched, 0, s)
+    exists = edge_exists(edges.vertex, edges.twin, torch.where(from_r, last_g, last_h), torch.where(from_r, s, r))
+    exists |= from_r & gather(question.pinched, 0, r)
     return h[~exists], rank[~exists], h[exists]
 
 
-# Edges at a time: what one chunk computes stays in the cache.
-_CHUNK = 32768
-
-
-def _ask(
-    x: Tensor, y: Tensor, vertex: Tensor, twin: Tensor, before: Tensor, h: Tensor, rule: Rule | VertexRule
-) -> tuple[Tensor, Tensor]:
-    """What the rule says of the half-edges h; never to flip an edge whose two triangles share two edges."""
-    gather = torch.index_select
-    g = gather(twin, 0, h)
-    u, w = gather(vertex, 0, h), gather(vertex, 0, g)
-    s, r = gather(vertex, 0, gather(before, 0, h)), gather(vertex, 0, gather(before, 0, g))
+def _ask(edges: _HalfEdges, question: _Question, h: Tensor) -> tuple[Tensor, Tensor]:
+    """What the rule says of the half-edges h.  An edge whose two triangles share two edges is never flipped."""
+    gather, (x, y) = torch.index_select, (question.x, question.y)
+    g = gather(edges.twin, 0, h)
+    u, w = gather(edges.vertex, 0, h), gather(edges.vertex, 0, g)
+    s, r = edges.apexes(h, g)
     quads = Quads(
         gather(x, 0, u), gather(y, 0, u), gather(x, 0, w), gather(y, 0, w),
         gather(x, 0, s), gather(y, 0, s), gather(x, 0, r), gather(y, 0, r),
     )  # fmt: skip
+    rule = question.rule
     wanted, rank = (rule.at(u, w, s, r) if isinstance(rule, VertexRule) else rule)(quads)
     return wanted & (s != r), rank
 
 
 def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:
-    """(N,) bool: which of the half-edges h, given best first, rank first in both their triangles."""
-    place = torch.arange(len(h), device=h.device)
+    """(N,) bool: which of the half-edges h, given best first, rank first in both their triangles.
+
+    best  (T,) working space, filled with a number above every rank, and left so
+    """
+    order = torch.arange(len(h), device=h.device)
     faces = torch.cat([h, twin.index_select(0, h)]).div_(3, rounding_mode="floor")
-    best.scatter_reduce_(0, faces, place.repeat(2), "amin")
+    best.scatter_reduce_(0, faces, order.repeat(2), "amin")
     one, two = best.index_select(0, faces).chunk(2)
     best.index_fill_(0, faces, len(twin))
-    return (one == place) & (two == place)
+    return (one == order) & (two == order)
 
 
-def _first_of_its_key(vertex: Tensor, twin: Tensor, before: Tensor, h: Tensor, chosen: Tensor) -> Tensor:
+def _first_of_its_new_edge(edges: _HalfEdges, h: Tensor, chosen: Tensor) -> Tensor:
     """(N,) bool: false where a better-ranked chosen flip makes the same new edge."""
     gather = torch.index_select
     rows = chosen.nonzero().squeeze(1)
     few = gather(h, 0, rows)
-    s, r = gather(vertex, 0, gather(before, 0, torch.cat([few, gather(twin, 0, few)]))).chunk(2)
-    keys, order = torch.sort(torch.minimum(s, r) * (int(vertex.max()) + 1) + torch.maximum(s, r), stable=True)
+    s, r = edges.apexes(few, gather(edges.twin, 0, few))
+    keys, order = torch.sort(torch.minimum(s, r) * (int(edges.vertex.max()) + 1) + torch.maximum(s, r), stable=True)
     again = torch.zeros_like(chosen)
     again[rows[order[1:][keys[1:] == keys[:-1]]]] = True
     return ~again
 
 
-def _flip(
-    vertex: Tensor, twin: Tensor, locked: Tensor, moved: Tensor, before: Tensor, both: Tensor, once: bool
-) -> Tensor:
-    """Flip the edges of half-edges `both` (2N,), one each and then their twins, no two in one triangle, in place.
+def _flip(edges: _HalfEdges, both: Tensor, once: bool) -> Tensor:
+    """Flip edges in place; returns the slots (2N,) of the half-edges of the new diagonals.
 
-    The new diagonal takes the slots after them, which are returned; the outer half-edges that were there move
-    to those of the others' `both`, and `moved` says so until the caller resets it.
+    both  (2N,) one half-edge of each edge and then their twins, no two in one triangle
+
+    A triangle's slots are `both`, `onward` and `last`, in this order.  The new diagonal takes the slot `onward`.  The
+    outer half-edge that was there moves to the slot `both` of the other triangle, and `edges.moved` records this
+    until the caller resets it.
     """
     gather, count = torch.index_select, len(both) // 2
-    last = gather(before, 0, both)
-    onward = gather(before, 0, last)
-    # Of the other triangle of each pair: its apex, and what lies across its moving half-edge.
+    vertex, twin, locked, previous, moved = edges
+    last = gather(previous, 0, both)
+    onward = gather(previous, 0, last)
+    # From the other triangle of each pair: its apex, and the twin and the lock of the half-edge that moves over.
     apex, across, lock = (gather(v, 0, at).roll(count) for v, at in ((vertex, last), (twin, onward), (locked, onward)))
     vertex.scatter_(0, onward, apex)
     moved.scatter_(0, onward, both.roll(count))

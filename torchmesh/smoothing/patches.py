@@ -1,9 +1,10 @@
-"""Small meshes cut out of a batch, and the variants of them that differ by one flip: batches to try things on.
+"""Small meshes cut out of a batch, and their variants with one edge flipped: a batch in which flips are tried.
 
-A batch of copies costs one pass, and each copy is a mesh of its own to every algorithm of the package.
+A batch of copies costs one pass, and every algorithm of the package treats each copy as a mesh of its own.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,16 +17,19 @@ from ..mesh.ragged import offsets_from_counts
 from ..mesh.submesh import repeated
 
 
-def seeds_of(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
-    """(P,) rows of the bad triangles that are worse than every other within `reach` edges, ascending."""
+def seeds_of(batch: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
+    """(P,) rows of the triangles `bad` (T,) bool that have the smallest angle within `reach` edges, ascending.
+
+    angle  (T,) the smallest angle of each triangle; of equal angles the lower row wins
+    """
     rows = bad.nonzero().squeeze(1)
     order = rows[angle[rows].argsort(stable=True)]
     last = len(order)
-    rank = torch.full((len(part.triangles),), last, dtype=torch.int64, device=bad.device)
+    rank = torch.full((len(batch.triangles),), last, dtype=torch.int64, device=bad.device)
     rank[order] = torch.arange(last, device=bad.device)
-    own, corner = rank, [v.contiguous() for v in part.triangles.unbind(1)]
+    own, corner = rank, [v.contiguous() for v in batch.triangles.unbind(1)]
     for _ in range(reach):
-        at_vertex = torch.full((len(part.points),), last, dtype=torch.int64, device=bad.device)
+        at_vertex = torch.full((len(batch.points),), last, dtype=torch.int64, device=bad.device)
         for v in corner:
             at_vertex.scatter_reduce_(0, v, rank, "amin")
         a, b, c = (at_vertex.index_select(0, v) for v in corner)
@@ -35,11 +39,13 @@ def seeds_of(part: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """P small meshes cut out of a batch, whose outermost vertices are fixed.
+    """P small meshes cut out of a batch; their outermost vertices are fixed.
 
-    mesh      the P meshes;  vertices, faces  (V,), (T,) their rows in the batch
+    mesh      the P meshes
+    vertices  (V,) the rows of their vertices in the batch
+    faces     (T,) the rows of their triangles in the batch
     complete  (V,) bool, all triangles at the vertex are in its patch
-    seed      (V,) bool, the corners of the patch's worst triangle
+    seed      (V,) bool, the corners of the triangle around which the patch was cut out
     """
 
     mesh: MeshBatch
@@ -49,88 +55,108 @@ class Patches:
     seed: Tensor
 
     @classmethod
-    def cut_out(cls, part: MeshBatch, seeds: Tensor, rings: int, complete: Tensor) -> "Patches":
-        """The triangles `seeds` (P,) and so many rings of vertices round each, no two patches in touch."""
-        label = torch.full((len(part.points),), -1, dtype=torch.int64, device=seeds.device)
-        number = torch.arange(len(seeds), device=seeds.device)
-        corner = [v.contiguous() for v in part.triangles.unbind(1)]
-        for v in corner:
-            label[v[seeds]] = number
-        for ring in range(rings):
-            a, b, c = (label.index_select(0, v) for v in corner)
-            of_face = torch.maximum(a, torch.maximum(b, c))
-            if ring < rings - 1:
-                for v in corner:
-                    label.scatter_reduce_(0, v, of_face, "amax")
+    def cut_out(cls, batch: MeshBatch, seeds: Tensor, rings: int, complete: Tensor) -> "Patches":
+        """The triangles `seeds` (P,) with `rings` rings of free vertices around each; no two patches may touch."""
+        label, of_face = _labels(batch, seeds, rings)
         faces = (of_face >= 0).nonzero().squeeze(1)
         faces = faces[of_face[faces].argsort(stable=True)]
-        owner, count = of_face[faces], len(part.points)
-        # A vertex on the rim of two patches is in both.
-        keys, place = torch.unique(owner[:, None] * count + part.triangles[faces], return_inverse=True)
+        owner, count = of_face[faces], len(batch.points)
+        # A vertex on the boundary of two patches is in both.
+        keys, local = torch.unique(owner[:, None] * count + batch.triangles[faces], return_inverse=True)
         vertices = keys % count
         mine = label[vertices] == keys // count
-        point_offsets = offsets_from_counts(torch.bincount(keys // count, minlength=len(seeds)))
-        locked = constrained_half_edges(part)
-        h = locked.reshape(-1, 3)[faces].reshape(-1).nonzero().squeeze(1)
-        ends = torch.stack([place.reshape(-1)[h], place.reshape(-1)[next_in_triangle(h)]], 1)
+        h = constrained_half_edges(batch).reshape(-1, 3)[faces].reshape(-1).nonzero().squeeze(1)
         mesh = MeshBatch(
-            part.points[vertices],
-            place,
-            part.fixed[vertices] | ~mine,
-            ends,
-            point_offsets,
+            batch.points[vertices],
+            local,
+            batch.fixed[vertices] | ~mine,
+            torch.stack([local.reshape(-1)[h], local.reshape(-1)[next_in_triangle(h)]], 1),
+            offsets_from_counts(torch.bincount(keys // count, minlength=len(seeds))),
             offsets_from_counts(torch.bincount(owner, minlength=len(seeds))),
-            part.frames[triangle_mesh(part)[seeds]],
+            batch.frames[triangle_mesh(batch)[seeds]],
         )
         seed = torch.zeros(count, dtype=torch.bool, device=seeds.device)
-        seed[part.triangles[seeds]] = True
+        seed[batch.triangles[seeds]] = True
         return cls(mesh, vertices, faces, mine & complete[vertices], seed[vertices] & mine)
 
     @classmethod
     def together(cls, patches: list["Patches"]) -> "Patches":
-        """All of them; those of different lists may be in touch."""
+        """All patches of the list as one; patches of different entries may touch."""
         names = ("vertices", "faces", "complete", "seed")
         return cls(join([p.mesh for p in patches]), *(torch.cat([getattr(p, n) for p in patches]) for n in names))
 
 
+def _labels(batch: MeshBatch, seeds: Tensor, rings: int) -> tuple[Tensor, Tensor]:
+    """The number of the patch in which a vertex (V,) is free, and of the patch of a triangle (T,); -1 for none."""
+    label = torch.full((len(batch.points),), -1, dtype=torch.int64, device=seeds.device)
+    number = torch.arange(len(seeds), device=seeds.device)
+    corner = [v.contiguous() for v in batch.triangles.unbind(1)]
+    for v in corner:
+        label[v[seeds]] = number
+    for ring in range(rings):
+        a, b, c = (label.index_select(0, v) for v in corner)
+        of_face = torch.maximum(a, torch.maximum(b, c))
+        if ring < rings - 1:
+            for v in corner:
+                label.scatter_reduce_(0, v, of_face, "amax")
+    return label, of_face
+
+
+class _Flips(NamedTuple):
+    """Flips that are legal, (F,) each: the two half-edges h and g of the edge, its ends u and w, its apexes s and r."""
+
+    h: Tensor
+    g: Tensor
+    u: Tensor
+    w: Tensor
+    s: Tensor
+    r: Tensor
+
+    def where(self, keep: Tensor) -> "_Flips":
+        return _Flips(*(v[keep] for v in self))
+
+
 def every_flip(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple[MeshBatch, Tensor, Tensor]:
-    """Every mesh as it is and with each of its edges flipped that may be.
+    """Every mesh as it is, followed by the mesh with each edge flipped whose flip is legal, one at a time.
 
     Returns the M meshes, the mesh (M,) of `batch` that each comes from, and (M,) bool: is it flipped?
-    complete  (V,) bool, all triangles at the vertex are there
-    near      (V,) bool, flip edges that end at one of these only; None: at any
+
+    complete  (V,) bool, all triangles at the vertex are in the batch
+    near      (V,) bool, flip only edges that end at one of these; None: at any
     """
-    twin = batch.twin
-    vertex = batch.triangles.reshape(-1)
-    locked = constrained_half_edges(batch)
-    half = torch.arange(len(twin), device=twin.device)
-    h = ((twin > half) & ~locked).nonzero().squeeze(1)
-    g = twin[h]
-    u, w, s, r = vertex[h], vertex[g], vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)]
-    if near is not None:
-        close = near[u] | near[w]
-        h, g, u, w, s, r = (v[close] for v in (h, g, u, w, s, r))
-    x, y = batch.points.to(torch.float64).unbind(1)
-    first, second = new_signs(Quads(x[u], y[u], x[w], y[w], x[s], y[s], x[r], y[r]))
-    # Whether the new edge is there already, one of its ends must know; it does if it has one fan of triangles.
-    knows = complete & (torch.bincount(vertex[twin < 0], minlength=len(x)) < 2)
-    legal = (first > 0) & (second > 0) & (s != r) & (knows[s] | knows[r])
-    h, g, u, w, s, r = (v[legal] for v in (h, g, u, w, s, r))
-    start = torch.where(knows[s], previous_in_triangle(h), previous_in_triangle(g))
-    free = ~edge_exists(vertex, twin, start, torch.where(knows[s], r, s))
-    h, g, u, w, s, r = (v[free] for v in (h, g, u, w, s, r))
-    counts = torch.bincount(triangle_mesh(batch)[h // 3], minlength=len(batch)) + 1
-    owner = torch.arange(len(batch), device=h.device).repeat_interleave(counts)
+    flips = _legal_flips(batch, complete, near)
+    counts = torch.bincount(triangle_mesh(batch)[flips.h // 3], minlength=len(batch)) + 1
+    owner = torch.arange(len(batch), device=counts.device).repeat_interleave(counts)
     first_member = offsets_from_counts(counts)[:-1]
     flipped = torch.ones_like(owner, dtype=torch.bool)
     flipped[first_member] = False
-    # Edges ascend, so those of a mesh stand together, in the order of its members.
+    # The half-edges h ascend, so the flips of a mesh follow each other in the order of its members.
     member = flipped.nonzero().squeeze(1)
     out = repeated(batch, owner)
     triangles = out.triangles.clone()
     of = owner[member]
-    to_vertex, to_face = (out.point_offsets[:-1][member] - batch.point_offsets[of],
-                          out.triangle_offsets[:-1][member] - batch.triangle_offsets[of])  # fmt: skip
-    triangles[h // 3 + to_face] = torch.stack([u, r, s], 1) + to_vertex[:, None]
-    triangles[g // 3 + to_face] = torch.stack([r, w, s], 1) + to_vertex[:, None]
+    to_vertex = (out.point_offsets[:-1][member] - batch.point_offsets[of])[:, None]
+    to_face = out.triangle_offsets[:-1][member] - batch.triangle_offsets[of]
+    h, g, u, w, s, r = flips
+    triangles[h // 3 + to_face] = torch.stack([u, r, s], 1) + to_vertex
+    triangles[g // 3 + to_face] = torch.stack([r, w, s], 1) + to_vertex
     return replace(out, triangles=triangles), owner, flipped
+
+
+def _legal_flips(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> _Flips:
+    """The flips that keep both triangles upright and make no edge that exists; arguments as of `every_flip`."""
+    twin, vertex = batch.twin, batch.triangles.reshape(-1)
+    h = ((twin > torch.arange(len(twin), device=twin.device)) & ~constrained_half_edges(batch)).nonzero().squeeze(1)
+    g = twin[h]
+    flips = _Flips(h, g, vertex[h], vertex[g], vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)])
+    if near is not None:
+        flips = flips.where(near[flips.u] | near[flips.w])
+    _, _, u, w, s, r = flips
+    x, y = batch.points.to(torch.float64).unbind(1)
+    first, second = new_signs(Quads(x[u], y[u], x[w], y[w], x[s], y[s], x[r], y[r]))
+    # One end of the new edge must tell whether the edge exists already.  A vertex can tell if it has one fan.
+    tells = complete & (torch.bincount(vertex[twin < 0], minlength=len(x)) < 2)
+    flips = flips.where((first > 0) & (second > 0) & (s != r) & (tells[s] | tells[r]))
+    from_s = tells[flips.s]
+    start = torch.where(from_s, previous_in_triangle(flips.h), previous_in_triangle(flips.g))
+    return flips.where(~edge_exists(vertex, twin, start, torch.where(from_s, flips.r, flips.s)))

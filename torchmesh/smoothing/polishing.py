@@ -1,27 +1,26 @@
-"""The worst triangles of a valid mesh, each with its neighbourhood, worst first.
+"""The worst triangles of a valid mesh, each improved together with its neighbourhood, worst first.
 
         bad triangles --> patches round them --> every single flip of every patch, as a batch
              ^                                    of small meshes, each smoothed for its worst
              +---- the best of each goes back, of patches in touch the worst one's ----+
 
-Flips and smoothing by the sum over a mesh end where no single flip lowers that sum; a flip that
-makes its two triangles worse, and the whole patch better once its vertices have moved, they never try.  Local
-search that judges by the worst triangle does (Freitag & Ollivier-Gooch, Tetrahedral mesh improvement
-using swapping and smoothing, International Journal for Numerical Methods in Engineering 40, 1997).
-In place of the non-smooth maximum stands the sum of a high power of the inverse mean ratio.
+Flips and smoothing minimise the sum over a mesh and end where no single flip lowers that sum.  They never try a flip
+that makes its two triangles worse although the whole patch is better once its vertices have moved.  Local search that
+judges by the worst triangle does (Freitag & Ollivier-Gooch, Tetrahedral mesh improvement using swapping and smoothing,
+International Journal for Numerical Methods in Engineering 40, 1997).  Instead of the maximum, which is not smooth, each
+patch minimises the sum of a high power of the inverse mean ratio.
 """
 
 import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..mesh import triangle
 from ..mesh.batch import MeshBatch, join, triangle_mesh
-from ..mesh.connectivity import next_in_triangle, touching
+from ..mesh.connectivity import touching
 from ..mesh.measure import Quality, quality
 from ..mesh.neighbourhoods import surroundings
 from ..mesh.ragged import (
@@ -37,18 +36,47 @@ from ..mesh.ragged import (
 )
 from ..mesh.submesh import picked, submesh
 from ..mesh.triangle import SQRT3, corners, inverse_mean_ratio
+from .boundary_limits import fan_limits
 from .patches import Patches, every_flip, seeds_of
 from .smoothing import SmoothOptions, smooth
+
+# Coordinates of a patch are padded to a multiple of this: a patch has about eight free vertices.
+_BLOCK = 16
+
+
+class PolishLevel(NamedTuple):
+    """How much work `polish` puts into a patch.
+
+    rings     rings of free vertices around the worst triangle
+    flips     flips tried one after the other
+    at_worst  flip only edges that end at a corner of the worst triangle
+    most      number of bad triangles above which a mesh is not worked on at this level
+    share     the same as a part of the mesh's triangles; the larger of the two limits counts
+    """
+
+    rings: int
+    flips: int
+    at_worst: bool
+    most: int
+    share: float
 
 
 @dataclass(frozen=True)
 class PolishOptions:
     """How `polish` works.
 
-    angle       degrees; triangles with a smaller angle are worked on
-    ratio       and those of a higher inverse mean ratio
-    max_rounds  rounds at most, of one change in each patch, and as many again in wider patches
-    smooth      the smoothing of each patch: a power so high that the worst triangle counts
+    angle         degrees; triangles with a smaller angle are worked on
+    ratio         triangles with a higher inverse mean ratio are worked on, too
+    max_rounds    number of rounds per level after which polishing stops; a round changes each patch at most once
+    smooth        the smoothing of each patch; its power is so high that the worst triangle counts
+    levels        the levels of work, cheapest first
+    groups        patches that overlap are tried in so many groups at once.  The first round tries one group, since most
+                  of its patches succeed; afterwards most fail, and six groups save a third of the time on hard meshes
+    finalists     of the single flips of a patch, so many are followed by a second flip
+    angle_gain    degrees by which a patch must improve the smallest angle, so that rounds are not spent on less
+    ratio_gain    the same for the inverse mean ratio
+    limit_share   where the boundary allows less than `angle` or `ratio` ask for, this part of what it allows suffices
+    angle_margin  degrees above `angle` at which a triangle counts as good, so that rounding cannot turn it bad
     """
 
     angle: float = 25.0
@@ -57,76 +85,54 @@ class PolishOptions:
     smooth: SmoothOptions = field(
         default_factory=lambda: SmoothOptions(power=12, max_iterations=18, energy_tolerance=1e-2)
     )
+    levels: tuple[PolishLevel, ...] = (
+        PolishLevel(rings=2, flips=1, at_worst=True, most=8, share=0.01),
+        PolishLevel(rings=3, flips=2, at_worst=True, most=6, share=0.001),
+        PolishLevel(rings=3, flips=2, at_worst=False, most=2, share=0.0),
+    )
+    groups: int = 6
+    finalists: int = 2
+    angle_gain: float = 0.2
+    ratio_gain: float = 0.005
+    limit_share: float = 0.95
+    angle_margin: float = 0.1
 
     def __post_init__(self) -> None:
         if not 0 <= self.angle < 60:
             raise ValueError(f"PolishOptions.angle must be in degrees from 0 to below 60, not {self.angle}")
         if not self.ratio > 1:
             raise ValueError(f"PolishOptions.ratio must be above 1, the ideal, not {self.ratio}")
-        if self.max_rounds < 0:
-            raise ValueError(f"PolishOptions.max_rounds must not be negative, but is {self.max_rounds}")
+        if not 0 < self.limit_share <= 1:
+            raise ValueError(f"PolishOptions.limit_share must be above 0 and at most 1, not {self.limit_share}")
+        for name in ("groups", "finalists"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"PolishOptions.{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("max_rounds", "angle_gain", "ratio_gain", "angle_margin"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"PolishOptions.{name} must not be negative, but is {getattr(self, name)}")
+        if not self.levels or min(level.rings for level in self.levels) < 1:
+            raise ValueError(f"PolishOptions.levels must each have at least one ring, not {self.levels}")
 
 
 @dataclass(frozen=True, eq=False)
 class PolishInfo:
-    """What `polish` did: per mesh (B,) int64 the patches it bettered, and the edges it flipped in them."""
+    """What `polish` did.
+
+    patches  (B,) int64 number of patches improved in each mesh
+    flips    (B,) int64 number of edges flipped in these patches
+    """
 
     patches: Tensor
     flips: Tensor
 
 
-class _Level(NamedTuple):
-    """How hard a patch is tried.
-
-    rings  of free vertices in it
-    flips  in a row
-    near   only of edges that end at the worst triangle?
-    most   bad triangles of a mesh that is worked on so hard, and as a part of its triangles, the larger of both
-    """
-
-    rings: int
-    flips: int
-    near: bool
-    most: tuple[int, float]
-
-
-_LEVELS = (_Level(2, 1, True, (8, 0.01)), _Level(3, 2, True, (6, 0.001)), _Level(3, 2, False, (2, 0.0)))
-
-
-# Patches one triangle may be in that are tried at once.
-_GROUPS = 6
-
-
-# First flips of a patch that are followed by a second.
-_FINALISTS = 2
-
-
-# Degrees that a patch must win to be worth a round, and as much of the inverse mean ratio.
-_GAIN, _GAIN_OF_RATIO = 0.2, 0.005
-
-
-# Where the boundary sets a limit below what is asked, this part of it is enough.
-_OF_LIMIT = 0.95
-
-
-_MOST_IN_A_FAN = 24
-
-
-# A patch has about eight free vertices.
-_BLOCK = 16
-
-
-# Degrees above what is asked for that count: at the threshold itself rounding would tell.
-_MARGIN = 0.1
-
-
 def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[MeshBatch, PolishInfo]:
-    """Better the worst triangles of valid meshes by flips and moves of the vertices next to them.
+    """Improve the worst triangles of valid meshes by flips and moves of the vertices near them.
 
-    Vertices keep number and order, fixed ones their place; boundary and constrained edges stay.  Meshes without
-    a triangle beyond `angle` or `ratio`, and those with inverted triangles, come back bit for bit, as do those of
-    which more than one in a hundred is bad, and no fault of the boundary's: they want other means.  No
-    mesh's smallest angle gets smaller, nor the number of its triangles beyond `angle` or `ratio` larger; its largest
+    Vertices keep number and order; fixed vertices, boundary edges and constrained edges stay.  Some meshes come back
+    bit for bit: those without a triangle beyond `angle` or `ratio`, those with inverted triangles, and those with more
+    than 8 bad triangles that are also more than 1 % of all (see `levels`); triangles that the boundary forces to be bad
+    do not count.  No mesh gets a smaller smallest angle, or more triangles beyond `angle` or `ratio`.  Its largest
     inverse mean ratio may grow up to `ratio`, but never beyond both that and what it was.
     """
     options = options or PolishOptions()
@@ -135,16 +141,16 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
     if not bool(bad.any()):
         return batch, PolishInfo(none, none.clone())
     work = _Polishing(batch, bad, options)
-    for level in _LEVELS:
+    for level in options.levels:
         work.run(level)
     return work.whole(), PolishInfo(work.patches, work.flips)
 
 
 def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tensor:
-    """(T,) bool: the triangles of the valid meshes that are beyond what is asked; q is their quality.
+    """(T,) bool: the triangles of the valid meshes that are beyond `angle` or `ratio`; q is the batch's quality.
 
     Among triangles with the angle t the isosceles one has the lowest inverse mean ratio, (2 - cos t) / (sqrt(3) sin t):
-    below that no angle need be measured.
+    in triangles below this ratio no angle need be measured.
     """
     t = math.radians(options.angle)
     least = min((2 - math.cos(t)) / (SQRT3 * math.sin(t)), options.ratio) if t else options.ratio
@@ -161,11 +167,11 @@ def _is_bad(angle: Tensor, ratio: Tensor, options: PolishOptions) -> Tensor:
 
 
 class _Polishing:
-    """The surroundings of the bad triangles on their way; the rest of the batch is not looked at.
+    """The surroundings of the bad triangles while they are worked on; the rest of the batch is not looked at.
 
-    taken     those surroundings as they were
-    part      what they have become, a mesh for each of the batch's
-    complete  (V',) bool, all triangles at the vertex are in `part`
+    taken     these surroundings as they were
+    mesh      what they have become; its outermost vertices are fixed
+    complete  (V',) bool, all triangles at the vertex are in it
     stuck     (T',) bool, the triangle was tried in vain, and nothing near it has changed since
     """
 
@@ -173,113 +179,88 @@ class _Polishing:
         self.batch, self.options = batch, options
         self.patches = torch.zeros(len(batch), dtype=torch.int64, device=bad.device)
         self.flips = self.patches.clone()
-        # A patch may leave the next one beside it bad, and so on, so far.
-        near = surroundings(batch, bad, 3 * max(level.rings for level in _LEVELS) + 1)
+        # A patch may leave the next one beside it bad, and that one the next again: there is room for three in a row.
+        near = surroundings(batch, bad, 3 * max(level.rings for level in options.levels) + 1)
         self.taken = submesh(batch, touching(batch.triangles, near))
         self.complete = near[self.taken.vertices]
-        self.part = replace(self.taken.mesh, fixed=self.taken.mesh.fixed | ~self.complete)
-        self.stuck = torch.zeros(len(self.part.triangles), dtype=torch.bool, device=bad.device)
-        self.least, self.most = _fan_limits(self.part, self.complete)
+        self.mesh = replace(self.taken.mesh, fixed=self.taken.mesh.fixed | ~self.complete)
+        self.stuck = torch.zeros(len(self.mesh.triangles), dtype=torch.bool, device=bad.device)
+        self.angle_limit, self.ratio_limit = fan_limits(self.mesh, self.complete)
 
     def asked(self) -> tuple[Tensor, Tensor]:
         """(T',) radians and inverse mean ratios beyond which triangles are bad, less strict where the boundary is."""
-        corner = [v.contiguous() for v in self.part.triangles.unbind(1)]
-        angle = torch.stack([self.least.index_select(0, v) for v in corner]).amin(0)
-        ratio = torch.stack([self.most.index_select(0, v) for v in corner]).amax(0)
-        wanted = math.radians(self.options.angle)
-        angle = torch.where(angle < wanted, _OF_LIMIT * angle, wanted)
-        return angle, torch.where(ratio > self.options.ratio, ratio / _OF_LIMIT, self.options.ratio)
+        options, corner = self.options, [v.contiguous() for v in self.mesh.triangles.unbind(1)]
+        angle = torch.stack([self.angle_limit.index_select(0, v) for v in corner]).amin(0)
+        ratio = torch.stack([self.ratio_limit.index_select(0, v) for v in corner]).amax(0)
+        wanted = math.radians(options.angle)
+        angle = torch.where(angle < wanted, options.limit_share * angle, wanted)
+        return angle, torch.where(ratio > options.ratio, ratio / options.limit_share, options.ratio)
 
     def whole(self) -> MeshBatch:
-        """The batch with what was bettered in its place."""
-        return self.taken.put_back(self.batch, self.part)
+        """The batch with what was improved."""
+        return self.taken.put_back(self.batch, self.mesh)
 
-    def run(self, level: _Level) -> None:
+    def run(self, level: PolishLevel) -> None:
         """Rounds of this level until every bad triangle is good or was tried in vain."""
-        most = (level.most[1] * counts_from_offsets(self.batch.triangle_offsets)).clamp_min(level.most[0])
+        most = (level.share * counts_from_offsets(self.batch.triangle_offsets)).clamp_min(level.most)
         self.stuck = torch.zeros_like(self.stuck)
         for turn in range(self.options.max_rounds):
-            t = corners(self.part.points.to(torch.float64), self.part.triangles)
+            mesh = self.mesh
+            t = corners(mesh.points.to(torch.float64), mesh.triangles)
             angle, (least, most_ratio) = triangle.minimum_angle(t), self.asked()
             bad = ((angle < least) | (inverse_mean_ratio(t) > most_ratio)) & ~self.stuck
             if not turn:
-                many = segment_count(bad, self.part.triangle_offsets) > most
-                self.stuck |= spread(many, self.part.triangle_offsets)
+                many = segment_count(bad, mesh.triangle_offsets) > most
+                self.stuck |= spread(many, mesh.triangle_offsets)
                 bad &= ~self.stuck
             if not bool(bad.any()):
                 break
-            # What the first round leaves is tried in vain most times: patches in touch, too, at once.
-            self._round(bad, angle, level, _GROUPS if turn or level is not _LEVELS[0] else 1)
+            first = not turn and level is self.options.levels[0]
+            self._round(bad, angle, level, 1 if first else self.options.groups)
 
-    def _round(self, bad: Tensor, angle: Tensor, level: _Level, most: int) -> None:
-        part, apart = self.part, 2 * level.rings
-        left = bad.clone()
-        groups: list[tuple[Tensor, Patches]] = []
-        while bool(left.any()) and len(groups) < most:
-            seeds = seeds_of(part, left, angle, apart)
-            groups.append((seeds, Patches.cut_out(part, seeds, level.rings, self.complete)))
-            left[seeds] = False
-        seeds, patches = torch.cat([seeds for seeds, _ in groups]), Patches.together([cut for _, cut in groups])
-        given = patches.mesh
+    def _round(self, bad: Tensor, angle: Tensor, level: PolishLevel, groups: int) -> None:
+        """Try a patch around each of the worst triangles `bad` (T',) bool; the best goes back where it is better."""
+        mesh, apart = self.mesh, 2 * level.rings
+        seeds, patches = self._cut(bad, angle, level, groups)
         best, flips = _best_of(patches, level, self.options)
-        before, after = (_Worst.of(mesh, self.options) for mesh in (given, best))
+        before, after = (_Worst.of(m, self.options) for m in (patches.mesh, best))
         good = after.betters(before, self.options)
         self.stuck[seeds[~good]] = True
-        bettered = torch.zeros_like(bad).index_fill_(0, seeds[good], True)
-        good &= torch.isin(seeds, seeds_of(part, bettered, angle, apart))
-        # Back into their rows: vertices that do not move stand in more than one patch.
-        rows = spread(good, given.point_offsets) & ~given.fixed
-        faces = spread(good, given.triangle_offsets)
-        points, triangles = part.points.clone(), part.triangles.clone()
-        points[patches.vertices[rows]] = best.points[rows]
-        triangles[patches.faces[faces]] = patches.vertices[best.triangles[faces]]
-        self.part = replace(part, points=points, triangles=triangles)
-        changed = torch.zeros_like(bad).index_fill_(0, patches.faces[faces], True)
-        self.stuck &= ~touching(part.triangles, surroundings(part, changed, level.rings))
-        owner = triangle_mesh(part)[seeds[good]]
-        self.patches += torch.bincount(owner, minlength=len(part))
+        # Of better patches that touch, the one with the worst triangle goes back.
+        better = torch.zeros_like(bad).index_fill_(0, seeds[good], True)
+        good &= torch.isin(seeds, seeds_of(mesh, better, angle, apart))
+        changed = self._put(patches, best, good)
+        self.stuck &= ~touching(mesh.triangles, surroundings(mesh, changed, level.rings))
+        owner = triangle_mesh(mesh)[seeds[good]]
+        self.patches += torch.bincount(owner, minlength=len(mesh))
         self.flips.index_add_(0, owner, flips[good])
 
+    def _cut(self, bad: Tensor, angle: Tensor, level: PolishLevel, groups: int) -> tuple[Tensor, Patches]:
+        """(P,) the triangles to work on, and the patches around them; only patches of different groups touch."""
+        mesh, left = self.mesh, bad.clone()
+        cut: list[tuple[Tensor, Patches]] = []
+        while bool(left.any()) and len(cut) < groups:
+            seeds = seeds_of(mesh, left, angle, 2 * level.rings)
+            cut.append((seeds, Patches.cut_out(mesh, seeds, level.rings, self.complete)))
+            left[seeds] = False
+        return torch.cat([seeds for seeds, _ in cut]), Patches.together([patches for _, patches in cut])
 
-def _fan_limits(part: MeshBatch, complete: Tensor) -> tuple[Tensor, Tensor]:
-    """(V,) radians and (V,) ratios: no triangulation has all angles at the boundary vertex above, or all inverse mean
-    ratios below these; infinite and 1 elsewhere.
-
-    A fan of k triangles fills the angle alpha between boundary edges of lengths a and b.  Its triangles have angles
-    t and ratios r of sides, and none below theta where t >= theta and |log r| <= log(sin(t + theta) / sin(theta)),
-    a convex set in (t, log r); so the best fan is the one of equal triangles, and its k is the best of all.  The same
-    holds for the inverse mean ratio (r + 1 / r - cos t) / (sqrt(3) sin t), the cosh of a hyperbolic distance.
-    complete  (V,) bool, all triangles at the vertex are there
-    """
-    limit = torch.full((len(part.points),), torch.inf, dtype=torch.float64, device=complete.device)
-    round_limit = torch.ones_like(limit)
-    twin = part.twin
-    out = (twin < 0).nonzero().squeeze(1)
-    vertex = part.triangles.reshape(-1)
-    number = torch.bincount(vertex[out], minlength=len(limit))
-    onto = torch.zeros_like(number)
-    onto[vertex[next_in_triangle(out)]] = vertex[out]
-    out = out[(complete & (number == 1))[vertex[out]]]
-    here = vertex[out]
-    points = part.points.to(torch.float64).cpu().numpy()
-    p, q, o = (points[v.cpu().numpy()] for v in (vertex[next_in_triangle(out)], onto[here], here))
-    # Of numpy, where the bits of a result do not depend on its place in the vector.
-    (ux, uy), (vx, vy) = (p - o).T, (q - o).T
-    turn = np.arctan2(ux * vy - uy * vx, ux * vx + uy * vy)
-    alpha = np.where(turn > 0, turn, turn + 2 * np.pi)[:, None]
-    ratio = 0.5 * np.abs(np.log(ux * ux + uy * uy) - np.log(vx * vx + vy * vy))[:, None]
-    k = np.arange(1, _MOST_IN_A_FAN + 1)
-    t = alpha / k
-    r = np.exp(ratio / k)
-    angle = np.where(t < np.pi, np.minimum(t, np.arctan2(np.sin(t), r - np.cos(t))), 0.0)
-    limit[here] = torch.from_numpy(angle.max(1, initial=0.0)).to(limit.device)
-    shape = np.where(t < np.pi, (r + 1 / r - np.cos(t)) / (SQRT3 * np.where(t < np.pi, np.sin(t), 1.0)), np.inf)
-    round_limit[here] = torch.from_numpy(shape.min(1, initial=np.inf)).to(limit.device)
-    return limit, round_limit
+    def _put(self, patches: Patches, best: MeshBatch, good: Tensor) -> Tensor:
+        """Put the meshes `good` (P,) bool of `best` into the rows of their patches; (T',) bool, their triangles."""
+        given, mesh = patches.mesh, self.mesh
+        # Only free vertices are written: the others stand in several patches.
+        rows = spread(good, given.point_offsets) & ~given.fixed
+        faces = spread(good, given.triangle_offsets)
+        points, triangles = mesh.points.clone(), mesh.triangles.clone()
+        points[patches.vertices[rows]] = best.points[rows]
+        triangles[patches.faces[faces]] = patches.vertices[best.triangles[faces]]
+        self.mesh = replace(mesh, points=points, triangles=triangles)
+        changed = torch.zeros(len(triangles), dtype=torch.bool, device=good.device)
+        return changed.index_fill_(0, patches.faces[faces], True)
 
 
 class _Worst(NamedTuple):
-    """Per mesh (B,): smallest angle in radians, largest inverse mean ratio, sum of their squares, bad triangles."""
+    """Per mesh (B,): smallest angle in radians, largest inverse mean ratio, sum of squared ratios, bad triangles."""
 
     angle: Tensor
     ratio: Tensor
@@ -298,32 +279,32 @@ class _Worst(NamedTuple):
         )
 
     def lack(self, options: PolishOptions) -> Tensor:
-        """(B,) how far the worst is beyond what is asked, 0 if it is not: parts of the angle and of the ratio."""
-        angle = (options.angle + _MARGIN) * (torch.pi / 180)
+        """(B,) how far the worst triangle is beyond `angle` and `ratio`, as parts of these; 0 if it is not."""
+        angle = (options.angle + options.angle_margin) * (torch.pi / 180)
         return ((angle - self.angle) / angle).clamp_min(0) + (self.ratio / options.ratio - 1).clamp_min(0)
 
     def betters(self, before: "_Worst", options: PolishOptions) -> Tensor:
-        """(B,) bool: no worse in angle, ratio or number of bad triangles, and nearer in one to what is asked.
+        """(B,) bool: angle or ratio has improved, and none of angle, ratio and number of bad triangles is worse.
 
-        For all that is asked of angles the ratio may be what is asked of ratios.
+        The ratio may be worse, but not beyond `ratio`, where all angles have become as large as asked for.
         """
-        wider = self.angle - before.angle > _GAIN * (torch.pi / 180)
-        rounder = (before.ratio > options.ratio) & (before.ratio - self.ratio > _GAIN_OF_RATIO)
+        wider = self.angle - before.angle > options.angle_gain * (torch.pi / 180)
+        rounder = (before.ratio > options.ratio) & (before.ratio - self.ratio > options.ratio_gain)
         no_worse = (self.angle >= before.angle) & (self.ratio <= before.ratio) & (self.bad <= before.bad)
         return ((wider | rounder) & no_worse) | (wider & (self.lack(options) == 0))
 
 
-def _best_of(patches: Patches, level: _Level, options: PolishOptions) -> tuple[MeshBatch, Tensor]:
-    """Each patch (P,) after the best flips found, smoothed; and how many flips those are (P,)."""
+def _best_of(patches: Patches, level: PolishLevel, options: PolishOptions) -> tuple[MeshBatch, Tensor]:
+    """Each patch (P,) after the best flips found, smoothed; and the number (P,) of these flips."""
     given = patches.mesh
     start, of_start = given, torch.arange(len(given), device=patches.seed.device)
     found, of_found, flips_of_found = [], [], []
     for depth in range(level.flips):
         complete, seed = (v[rows_of_each(of_start, given.point_offsets)] for v in (patches.complete, patches.seed))
-        members, of_member, flipped = every_flip(start, complete, seed if level.near else None)
+        members, of_member, flipped = every_flip(start, complete, seed if level.at_worst else None)
         patch = of_start[of_member]
         members, _ = smooth(members, options.smooth, block=_BLOCK)
-        few = _first_of_each(patch, _Worst.of(members, options), len(given), _FINALISTS, options)
+        few = _first_of_each(patch, _Worst.of(members, options), len(given), options.finalists, options)
         start, of_start = members.select(few), patch[few]
         found.append(start)
         of_found.append(of_start)
@@ -340,7 +321,7 @@ def _first_of_each(owner: Tensor, worst: _Worst, count: int, number: int, option
     order = order[worst.lack(options)[order].argsort(stable=True)]
     order = order[owner[order].argsort(stable=True)]
     first = offsets_from_counts(torch.bincount(owner, minlength=count))[:-1]
-    place = torch.arange(len(owner), device=owner.device) - first[owner[order]]
+    rank = torch.arange(len(owner), device=owner.device) - first[owner[order]]
     chosen = torch.zeros(len(owner), dtype=torch.bool, device=owner.device)
-    chosen[order] = place < number
+    chosen[order] = rank < number
     return chosen

@@ -1,11 +1,12 @@
 """Boundary and interface vertices that slide along their curves while the interior is smoothed.
 
-A sliding vertex has one unknown, its parameter on its curve, which stands in the place of its x
-coordinate; its y coordinate's place stays empty.  The optimiser moves interior and sliding
-vertices together and knows nothing of it.
+A sliding vertex has one unknown: its parameter on its curve.  This unknown takes the slot of the vertex's x coordinate,
+and the slot of its y coordinate stays empty.  The optimiser moves interior and sliding vertices together and does not
+see the difference.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,11 +24,12 @@ from ..optimising.blocks import BLOCK
 from ..optimising.objective import MeshObjective, Packing
 from ..triangulating.crossings import crossing_pairs
 
-# How much of a mesh's area the chain of a curve may change by, beyond which a slide is shortened.
+# The area that the chain of a curve encloses may change by this part of its mesh's area, which is what rounding comes
+# to; where it changes by more than twice as much, the slide is shortened.
 AREA_TOLERANCE = 1e-9
 
 
-# Halvings of a slide that would invert a triangle, cross the boundary or change an area.
+# How often a slide is halved that would invert a triangle, cross the boundary or change an area, before the mesh stays.
 _HALVINGS = 10
 
 
@@ -36,6 +38,8 @@ def curves_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None 
 
     corner_angle  degrees; a vertex where the curve turns by more is a corner and stays
     hold          (V,) bool, further vertices that stay
+
+    Raises InvalidMeshError when `hold` has another shape or type.
     """
     network, on_network = _network(batch)
     if hold is not None:
@@ -48,20 +52,19 @@ def curves_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None 
 
 def _network(batch: MeshBatch) -> tuple[Tensor, Tensor]:
     """(E, 2) the boundary and constrained edges, and (V,) bool their vertices."""
-    rim = connectivity.boundary_edges(batch.triangles, batch.twin)
-    network = torch.cat([rim, batch.constrained_edges])
-    mask = torch.zeros(len(batch.points), dtype=torch.bool, device=rim.device)
+    network = torch.cat([connectivity.boundary_edges(batch.triangles, batch.twin), batch.constrained_edges])
+    mask = torch.zeros(len(batch.points), dtype=torch.bool, device=network.device)
     mask[network.reshape(-1)] = True
     return network, mask
 
 
 @dataclass(frozen=True, eq=False)
 class SlidingObjective:
-    """An objective whose sliding vertices have a parameter for an unknown, as an `lbfgs.Objective`.
+    """An objective in which sliding vertices have their parameter as unknown; an `lbfgs.Objective`.
 
-    curves          in packed coordinates; those that slide have the S stations `sliding`
-    x_rows, y_rows  (S,) int64, where their coordinates stand
-    shift           (S, 2) from the curve to where the vertex was
+    curves          in packed coordinates; S of their stations slide
+    x_rows, y_rows  (S,) int64, the slots of the sliding vertices' coordinates
+    shift           (S, 2) from the curve to the position that the vertex had
     """
 
     inner: MeshObjective
@@ -76,7 +79,7 @@ class SlidingObjective:
 
     @property
     def scale(self) -> Tensor:
-        """(N,) as the inner one's, zero for the empty places."""
+        """(N,) as that of the inner objective, and zero for the empty slots."""
         scale = self.inner.scale.clone()
         scale[self.y_rows] = 0
         return scale
@@ -84,10 +87,10 @@ class SlidingObjective:
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         curves = self.curves
         s = curves.moved_to(unknowns[self.x_rows])
-        place, tangent, _ = curves.at(s)
-        place, tangent = place[curves.slides] + self.shift, tangent[curves.slides]
+        position, tangent, _ = curves.at(s)
+        position, tangent = position[curves.slides] + self.shift, tangent[curves.slides]
         coordinates = unknowns.clone()
-        coordinates[self.x_rows], coordinates[self.y_rows] = place[:, 0], place[:, 1]
+        coordinates[self.x_rows], coordinates[self.y_rows] = position[:, 0], position[:, 1]
         energy, gradient, done = self.inner(coordinates)
         penalty, slope, in_order = order_penalty(curves, s)
         along = gradient[self.x_rows] * tangent[:, 0] + gradient[self.y_rows] * tangent[:, 1]
@@ -96,6 +99,7 @@ class SlidingObjective:
         return torch.where(in_order, energy + penalty, torch.inf), gradient, done
 
     def select(self, keep: Tensor) -> "SlidingObjective":
+        """The meshes `keep` (B,) bool only."""
         kept = keep.repeat_interleave(counts_from_offsets(self.block_offsets)).repeat_interleave(BLOCK)
         shift = kept.to(torch.int64).cumsum(0) - 1
         stay = kept[self.x_rows]
@@ -103,8 +107,21 @@ class SlidingObjective:
         return SlidingObjective(self.inner.select(keep), self.curves.select(keep), x_rows, y_rows, self.shift[stay])
 
 
+class _Goal(NamedTuple):
+    """Where the optimiser wants the vertices.
+
+    points    (V, 2) float64: interior vertices moved, all others as they were
+    stations  (S,) the parameters of all stations of the curves
+    still     (S,) bool, the stations of chains on which none moves
+    """
+
+    points: Tensor
+    stations: Tensor
+    still: Tensor
+
+
 class Slide:
-    """One smoothing of a batch with sliding vertices: from the packing to the vertices' new places."""
+    """One smoothing of a batch with sliding vertices: from the packing to the vertices' new positions."""
 
     def __init__(self, batch: MeshBatch, curves: BoundaryCurves, packing: Packing) -> None:
         self.batch, self.packing = batch, packing
@@ -119,53 +136,70 @@ class Slide:
     def start(self, inner: MeshObjective) -> tuple[SlidingObjective, Tensor]:
         """The objective, and the unknowns to start from."""
         curves = self.curves.packed(self.packing.centre, self.packing.unit)
-        places = self.curves.at(self.curves.parameter)[0][self.curves.slides]
-        shift = (self.batch.points[self.rows].to(places) - places) / self.unit[self.curves.slides][:, None]
+        positions = self.curves.at(self.curves.parameter)[0][self.curves.slides]
+        shift = (self.batch.points[self.rows].to(positions) - positions) / self.unit[self.curves.slides][:, None]
         unknowns = self.packing.unknowns.clone()
         unknowns[self.x_rows] = curves.parameter[curves.slides]
         unknowns[self.y_rows] = 0
         return SlidingObjective(inner, curves, self.x_rows, self.y_rows, shift), unknowns
 
     def finish(self, unknowns: Tensor) -> tuple[Tensor, BoundaryCurves]:
-        """(V, 2) the batch's points where `unknowns` has them, and the curves with the stations there.
+        """(V, 2) the batch's points as `unknowns` have them, and the curves with their new stations.
 
-        The vertices of each curve go back by one width along its normals, so that it encloses what
-        it did.  Where a triangle inverts, an edge crosses another or an area changes, that mesh
-        goes half the way only, and so on; then it stays.
+        The vertices of each curve are pushed back along its normals, all by the same width, so that the curve
+        encloses what it did.  Where a triangle inverts, an edge crosses another or an area changes, the whole mesh
+        goes only half the way, then a quarter, and so on; at last it stays.
         """
-        batch, curves, packing = self.batch, self.curves, self.packing
-        target = packing.unknowns.clone()
-        target[:] = unknowns
-        target[self.x_rows], target[self.y_rows] = packing.unknowns[self.x_rows], packing.unknowns[self.y_rows]
-        interior = packing.unpack(target, batch.points).to(torch.float64)
-        before = batch.points.to(torch.float64)
-        slid = curves.moved_to(unknowns[self.x_rows] * self.unit[curves.slides])
-        chains = curves.chain_offsets
-        still = spread(segment_max((slid != curves.parameter).to(slid.dtype), chains) == 0, chains)
-        part = torch.ones(len(batch), dtype=before.dtype, device=before.device)
-        area = segment_sum(signed_area(corners(before, batch.triangles)), batch.triangle_offsets)
-        chain_mesh = owner_of(chains[:-1], curves.offsets)
+        batch, curves = self.batch, self.curves
+        goal = self._goal(unknowns)
+        part = torch.ones(len(batch), dtype=torch.float64, device=batch.points.device)
+        before = corners(batch.points.to(torch.float64), batch.triangles)
+        tolerance = 2 * AREA_TOLERANCE * segment_sum(signed_area(before), batch.triangle_offsets)
         for halving in range(_HALVINGS + 1):
-            weight = spread(part, batch.point_offsets)[:, None]
-            points = torch.where(weight == 1, interior, before + weight * (interior - before))
-            s = curves.parameter + spread(part, curves.offsets) * (slid - curves.parameter)
-            s = torch.where(spread(part, curves.offsets) == 1, slid, s)
-            places, _, segment = curves.at(s)
-            places, lack = restore_area(curves, places, segment)
-            moving = ~(still | (spread(part, curves.offsets) == 0))[curves.slides]
-            points[self.rows[moving]] = places[curves.slides][moving]
+            points, s, segment, lack = self._on_the_way(goal, part)
             result = batch.with_points(points)
-            wrong = segment_any(~upright(result), batch.triangle_offsets)
-            off = (lack.abs() > 2 * AREA_TOLERANCE * area[chain_mesh]) & ~still[chains[:-1]]
-            wrong[chain_mesh[off]] = True
-            bent = curves.slides & ~curves.straight[segment] & ~still
-            curved = segment_any(bent, curves.offsets)
-            wrong |= _crosses(result, curved & ~wrong)
-            wrong &= part > 0
+            wrong = self._wrong(result, goal.still, segment, lack, tolerance) & (part > 0)
             if not bool(wrong.any()):
                 break
             part = torch.where(wrong, 0.5 * part if halving < _HALVINGS - 1 else 0.0, part)
         return result.points, replace(curves, parameter=s)
+
+    def _goal(self, unknowns: Tensor) -> _Goal:
+        """The end of the way, as the optimiser's `unknowns` have it."""
+        curves, packing = self.curves, self.packing
+        target = packing.unknowns.clone()
+        target[:] = unknowns
+        target[self.x_rows], target[self.y_rows] = packing.unknowns[self.x_rows], packing.unknowns[self.y_rows]
+        stations = curves.moved_to(unknowns[self.x_rows] * self.unit[curves.slides])
+        moves = (stations != curves.parameter).to(stations.dtype)
+        still = spread(segment_max(moves, curves.chain_offsets) == 0, curves.chain_offsets)
+        return _Goal(packing.unpack(target, self.batch.points).to(torch.float64), stations, still)
+
+    def _on_the_way(self, goal: _Goal, part: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The meshes after `part` (B,) of the way: points, stations, their segments, and the area each chain lacks."""
+        batch, curves = self.batch, self.curves
+        before = batch.points.to(torch.float64)
+        weight, along = spread(part, batch.point_offsets)[:, None], spread(part, curves.offsets)
+        points = torch.where(weight == 1, goal.points, before + weight * (goal.points - before))
+        s = curves.parameter + along * (goal.stations - curves.parameter)
+        s = torch.where(along == 1, goal.stations, s)
+        positions, _, segment = curves.at(s)
+        positions, lack = restore_area(curves, positions, segment)
+        moving = ~(goal.still | (along == 0))[curves.slides]
+        points[self.rows[moving]] = positions[curves.slides][moving]
+        return points, s, segment, lack
+
+    def _wrong(self, result: MeshBatch, still: Tensor, segment: Tensor, lack: Tensor, tolerance: Tensor) -> Tensor:
+        """(B,) bool: a triangle is inverted, a chain lacks more area than `tolerance` (B,), or edges cross."""
+        curves = self.curves
+        chains = curves.chain_offsets
+        chain_mesh = owner_of(chains[:-1], curves.offsets)
+        wrong = segment_any(~upright(result), result.triangle_offsets)
+        off = (lack.abs() > tolerance[chain_mesh]) & ~still[chains[:-1]]
+        wrong[chain_mesh[off]] = True
+        # Vertices that slide along a straight line cannot make their edges cross others.
+        bent = curves.slides & ~curves.straight[segment] & ~still
+        return wrong | _crosses(result, segment_any(bent, curves.offsets) & ~wrong)
 
 
 def _crosses(batch: MeshBatch, at: Tensor) -> Tensor:
@@ -173,13 +207,13 @@ def _crosses(batch: MeshBatch, at: Tensor) -> Tensor:
     crossing = torch.zeros_like(at)
     if not bool(at.any()):
         return crossing
-    # Mesh by mesh: those of a batch lie over each other, and a search for neighbours would find them all.
+    # The meshes of a batch lie over each other, so a search over all at once would find edges of different meshes.
     for b in at.nonzero().squeeze(1).tolist():
         mesh = batch.select(torch.arange(len(batch), device=at.device) == b)
         edges, _ = _network(mesh)
-        piece = connectivity.triangle_components(mesh.triangles, mesh.twin)
-        of_vertex = torch.zeros(len(mesh.points), dtype=torch.int64, device=piece.device)
-        of_vertex[mesh.triangles] = piece[:, None]
+        component = connectivity.triangle_components(mesh.triangles, mesh.twin)
+        of_vertex = torch.zeros(len(mesh.points), dtype=torch.int64, device=component.device)
+        of_vertex[mesh.triangles] = component[:, None]
         points = mesh.points.detach().to("cpu", torch.float64).numpy()
         group = of_vertex[edges[:, 0]].cpu().numpy()
         crossing[b] = len(crossing_pairs(points, edges.cpu().numpy(), group)) > 0

@@ -1,4 +1,4 @@
-"""Step 3: move the free vertices of a valid mesh to minimise the inverse mean ratio."""
+"""Step 3: move the free vertices of a valid mesh so that the inverse mean ratio becomes least."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
@@ -7,40 +7,40 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import InverseMeanRatio
 from ..optimising.jacobian import equilateral
 from ..optimising.lbfgs import LbfgsOptions, minimise
-from ..optimising.objective import MeshObjective, pack
+from ..optimising.moves import Monitor, MoveInfo
+from ..optimising.objective import MeshObjective, Packing, pack
 from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check
 from ..status import Status
 
 if TYPE_CHECKING:
     from ..mesh.curves import BoundaryCurves
-from ..mesh.means import vertex_size
-from ..optimising.moves import Monitor, MoveInfo
 
 
 @dataclass(frozen=True)
 class SmoothOptions:
     """How `smooth` minimises the sum of q^p, q the inverse mean ratio (Kim 2017, equation 4).
 
-    power             p; 2 in the paper, higher cares more for the worst triangle
-    ceiling           a q that triangles should stay below: (q / ceiling)^8 is added; None: not
-    max_iterations    L-BFGS steps tried at most
+    power             p; the paper takes 2, a higher power gives the worst triangle more weight
+    ceiling           a q that triangles should stay below: (q / ceiling)^8 is added; None: no such term
+    max_iterations    number of L-BFGS steps after which smoothing stops
     energy_tolerance  a mesh is done when five steps together lower its energy by less than this part
     gradient_tolerance  or when the root mean square of its scaled gradient is below this
     boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
                       curves they are on, which keep their shape and the areas on both sides
     targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
-                      one a triangle of the batch (`target_from`); a `MetricField` (`metric_from`,
-                      `MetricField.stretched`); or a function of places (N, 2) to target matrices (N, 2, 2), which
-                      becomes one (`MetricField.from_targets`)
-    corner_angle      degrees; where such a curve turns by more, the vertex is a corner and stays
+                      one per triangle of the batch (`target_from`); a `MetricField` (`metric_from`,
+                      `MetricField.stretched`); or a function from positions (N, 2) to target matrices (N, 2, 2),
+                      which is converted to a field (`MetricField.from_targets`)
+    corner_angle      degrees; where a boundary curve turns by more, the vertex is a corner and stays
     single            compute displacements in single precision, which is faster and good for rough work on
-                      triangles that are not slivers; not with sliding or targets
+                      triangles that are not slivers; has no effect with sliding or targets
     """
 
     power: int = 2
@@ -86,12 +86,12 @@ def smooth(
     No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
     `Status.INVERTED`.
 
-    free     (V,) bool, move only these of the vertices that are not fixed, or that slide
+    free     (V,) bool: of the vertices that may move, move only these; None: all
     monitor  called with the iteration and the energies of the meshes still running
-    curves   what to slide along, as an earlier call left them (`info.curves`); None: those of
+    curves   the curves to slide along, as an earlier call returned them (`info.curves`); None: those of
              the mesh as it is, if the options say "slide"
-    block    coordinates of a mesh are padded to a multiple of this: less is faster for meshes of few free vertices;
-             not with curves
+    block    coordinates of a mesh are padded to a multiple of this.  A small number is faster for meshes of few free
+             vertices; has no effect with curves
     """
     options = options or SmoothOptions()
     refused = segment_any(~upright(batch), batch.triangle_offsets)
@@ -105,6 +105,30 @@ def smooth(
         may_move &= free
     single = options.single and curves is None and options.targets is None
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
+    objective = _objective(batch, packing, options)
+    if curves is None:
+        result = minimise(objective, packing.unknowns, _lbfgs(options), monitor)
+        moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
+    else:
+        from .sliding import Slide
+
+        slide = Slide(batch, curves, packing)
+        result = minimise(*slide.start(objective), _lbfgs(options), monitor)
+        points, curves = slide.finish(result.unknowns)
+        moved = batch.with_points(points)
+    # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
+    worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
+    status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
+    if bool(worse.any()):
+        back = spread(worse, batch.point_offsets)[:, None]
+        moved = batch.with_points(torch.where(back, batch.points, moved.points))
+        if curves is not None:
+            curves = curves.put(worse, slide.curves.select(worse))
+    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, curves)
+
+
+def _objective(batch: MeshBatch, packing: Packing, options: SmoothOptions) -> MeshObjective:
+    """The energy of the options over the packed batch, with its targets if it has any."""
     objective = MeshObjective(
         InverseMeanRatio(options.power, options.ceiling),
         equilateral(),
@@ -116,36 +140,15 @@ def smooth(
         edges=packing.edges,
     )
     targets = as_targets(options.targets)
-    if targets is not None:
-        objective = aim(objective, batch, packing, targets)
-    slide = None
-    if curves is not None:
-        from .sliding import Slide
+    return objective if targets is None else aim(objective, batch, packing, targets)
 
-        slide = Slide(batch, curves, packing)
-    problem, start = (objective, packing.unknowns) if slide is None else slide.start(objective)
-    result = minimise(
-        problem,
-        start,
-        LbfgsOptions(
-            max_iterations=options.max_iterations,
-            gradient_tolerance=options.gradient_tolerance,
-            energy_tolerance=options.energy_tolerance,
-            first_step=0.05,
-            largest_step=0.5,
-        ),
-        monitor,
+
+def _lbfgs(options: SmoothOptions) -> LbfgsOptions:
+    """Steps in parts of a vertex's mean edge length: the first is small, and none is above half an edge."""
+    return LbfgsOptions(
+        max_iterations=options.max_iterations,
+        gradient_tolerance=options.gradient_tolerance,
+        energy_tolerance=options.energy_tolerance,
+        first_step=0.05,
+        largest_step=0.5,
     )
-    if slide is None:
-        moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
-    else:
-        points, curves = slide.finish(result.unknowns)
-        moved = batch.with_points(points)
-    # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
-    worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
-    status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
-    if bool(worse.any()):
-        back = spread(worse, batch.point_offsets)[:, None]
-        moved = batch.with_points(torch.where(back, batch.points, moved.points))
-        curves = None if slide is None or curves is None else curves.put(worse, slide.curves.select(worse))
-    return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, curves)

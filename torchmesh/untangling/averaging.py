@@ -1,7 +1,8 @@
-"""Interiors that are merely scrambled, put back by averaging, and told in a few sweeps from those it cannot help.
+"""Scrambled interiors, restored by averaging: every free vertex moves to the mean of its neighbours.
 
-Where a boundary has moved far, the interior mostly followed it smoothly, and averaging its places again
-changes nothing.  Where the interior alone was disturbed, the folded area vanishes within sweeps.
+Where a boundary has moved far, the interior mostly followed it smoothly, and averaging its positions changes
+nothing.  Where only the interior was disturbed, the folded area vanishes within a few sweeps.  Few sweeps tell both
+cases apart.
 """
 
 import itertools
@@ -17,39 +18,55 @@ from ..mesh.triangle import corners, signed_area
 from ..mesh.units import centre_and_unit
 from ..optimising.conjugate_gradients import Systems
 
-# Sweeps between two looks at a mesh, and before the first glance, which is for those that hardly gain at all.
-_SWEEPS, _GLANCE = 8, 2
 
+@dataclass(frozen=True)
+class AverageOptions:
+    """When `average` stops.
 
-# By what part the folded area, or the number of triangles that are not upright, must fall from look to look in a
-# mesh of up to 32 x 32 free vertices.  An error as wide as the mesh takes sweeps in proportion to the vertices
-# across: of a wider mesh so much less is asked.
-_GAIN, _ACROSS = 0.2, 32
-
-
-# A valid mesh is done when its residual has come down to this part.
-_RESIDUAL = 1e-3
-
-
-def average(batch: MeshBatch) -> MeshBatch:
-    """Free vertices on their way to the mean of their neighbours, as `relax` has them, where that untangles.
-
-    Conjugate gradients with the valences as preconditioner, each mesh by itself, until it is valid and nearly at
-    rest, or gains no more: at the first glance, in proportion to the sweeps.  A mesh that gained nothing comes
-    back as it was.
+    sweeps    steps of conjugate gradients between two looks at a mesh
+    glance    steps before the very first look, which ends the meshes that gain hardly anything; with it such
+              meshes take a third of the time
+    gain      part by which the folded area, or the number of inverted triangles, must fall from look to look
+    across    the gain is asked of meshes with up to `across` squared free vertices.  An error as wide as the mesh
+              takes sweeps in proportion to the vertices across, so of a wider mesh less is asked in proportion
+    residual  a valid mesh is done when its residual has fallen to this part of what it was
     """
+
+    sweeps: int = 8
+    glance: int = 2
+    gain: float = 0.2
+    across: int = 32
+    residual: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for name in ("sweeps", "glance", "across"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"AverageOptions.{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("gain", "residual"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"AverageOptions.{name} must lie between 0 and 1, not {getattr(self, name)}")
+
+
+def average(batch: MeshBatch, options: AverageOptions | None = None) -> MeshBatch:
+    """Move free vertices towards the mean of their neighbours, as `relax` has them, where that untangles.
+
+    Each mesh takes steps of conjugate gradients, with the valences as preconditioner, until it is valid and nearly
+    at rest, or until it no longer gains.  A mesh that gained nothing comes back as it was.
+    """
+    options = options or AverageOptions()
     result, work = batch, _Averaging(batch)
     going = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
-    across = segment_count(~batch.fixed, batch.point_offsets).to(torch.float64).sqrt().clamp_min(_ACROSS)
-    gain = (_GAIN * _ACROSS / across)[:, None]
+    across = segment_count(~batch.fixed, batch.point_offsets).to(torch.float64).sqrt().clamp_min(options.across)
+    gain = (options.gain * options.across / across)[:, None]
     given = last = work.tangle()
-    rest = _RESIDUAL**2 * work.force()
+    rest = options.residual**2 * work.force()
     for sweep in itertools.count(1):
         work.sweep()
-        if sweep != _GLANCE and sweep % _SWEEPS:
+        if sweep != options.glance and sweep % options.sweeps:
             continue
         now = work.tangle()
-        left = 1 - gain[going] * min(sweep, _SWEEPS) / _SWEEPS
+        # At the glance the gain is asked for in proportion to the sweeps done.
+        left = 1 - gain[going] * min(sweep, options.sweeps) / options.sweeps
         valid, was_valid = now[:, 1] == 0, last[:, 1] == 0
         stays = torch.where(valid, work.force() > rest[going], (now < left * last).any(1))
         better = valid | (~stays & ~was_valid & (now < left * given[going]).any(1))
@@ -57,7 +74,7 @@ def average(batch: MeshBatch) -> MeshBatch:
             result = put(result, going.masked_scatter(going, better), work.moved().select(better))
         if not bool(stays.any()):
             break
-        if sweep != _GLANCE:
+        if sweep != options.glance:
             last = now
         if not bool(stays.all()):
             going, last, work = going.masked_scatter(going, stays), last[stays], work.select(stays)
@@ -65,10 +82,10 @@ def average(batch: MeshBatch) -> MeshBatch:
 
 
 class _Averaging:
-    """Linear systems, one for the x of each mesh and one for its y: every free vertex at the mean of its neighbours.
+    """Two linear systems for each mesh, one for x and one for y: every free vertex at the mean of its neighbours.
 
-    Rows are the x of all vertices, mesh by mesh, then their y; those of fixed vertices have no residual and do not
-    move.  Coordinates are counted from each mesh's centre in a power of two near its extent.
+    The rows are the x of all vertices, mesh by mesh, and then their y.  Rows of fixed vertices have no residual, so
+    these do not move.  Coordinates are counted from each mesh's centre in a power of two near its extent.
     """
 
     def __init__(self, batch: MeshBatch) -> None:
@@ -76,7 +93,7 @@ class _Averaging:
         count = len(batch.points)
         centre, unit = centre_and_unit(batch.points, batch.point_offsets)
         self.centre, self.unit = spread(centre, batch.point_offsets), spread(unit, batch.point_offsets)[:, None]
-        # Round a free vertex the triangles close: each neighbour is the head of one half-edge from it.
+        # The triangles around a free vertex close: each neighbour is the head of exactly one half-edge from it.
         tail, head = tails(batch.triangles), heads(batch.triangles)
         valence = torch.bincount(tail, minlength=count).clamp_min(1).to(torch.float64).repeat(2)
         matrix = _ValenceLaplacian(tail, head, valence, batch.fixed.repeat(2))
@@ -94,7 +111,7 @@ class _Averaging:
         return one + other
 
     def tangle(self) -> Tensor:
-        """(B, 2) the area that lies folded over, and the number of triangles that are not upright."""
+        """(B, 2) the area of the inverted triangles, and the number of inverted or flat triangles."""
         area = signed_area(corners(self.now.x.reshape(2, -1).T, self.batch.triangles))
         folded = segment_sum((-area).clamp_min(0), self.batch.triangle_offsets)
         return torch.stack([folded, segment_count(area <= 0, self.batch.triangle_offsets).to(folded)], 1)
@@ -105,7 +122,7 @@ class _Averaging:
         return self.batch.with_points(torch.where(self.batch.fixed[:, None], self.batch.points, points))
 
     def select(self, keep: Tensor) -> "_Averaging":
-        """The meshes `keep` (B,) bool only, with all that was reached."""
+        """The meshes `keep` (B,) bool only, as far as they have come."""
         part = _Averaging(self.batch.select(keep))
         part.now = self.systems.select(self.now, keep.repeat(2))
         return part
@@ -134,7 +151,7 @@ class _ValenceLaplacian:
         return (around - self.valence * u).masked_fill_(self.fixed, 0)
 
     def _add_neighbours(self, total: Tensor, values: Tensor, factor: int) -> Tensor:
-        """To `total` (2V,), in place, the sums of `values` (2V,) over each vertex's neighbours, times `factor`."""
+        """Add the sums of `values` (2V,) over each vertex's neighbours, times `factor`, to `total` (2V,) in place."""
         count = len(total) // 2
         for sums, column in zip(total.split(count), values.split(count), strict=True):
             sums.index_add_(0, self.tail, column.index_select(0, self.head), alpha=factor)

@@ -1,4 +1,4 @@
-"""The regularised functional with falling epsilon: triangles kept, vertices moved."""
+"""The regularised functional with falling epsilon: triangles are kept, vertices move (Garanzha et al. 2021)."""
 
 from dataclasses import replace
 
@@ -11,31 +11,24 @@ from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segme
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import Regularised
 from ..optimising.jacobian import Target, select_rows
-from ..optimising.lbfgs import LbfgsOptions, minimise
+from ..optimising.lbfgs import LbfgsOptions, LbfgsResult, minimise
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing
 from ..status import Status
 from .options import UntangleOptions
 
-# Where epsilon ends (Garanzha et al. 2021).
+# Epsilon never falls below this number (Garanzha et al. 2021).
 _LEAST_EPS = 1e-9
 
 
-# No hope: over so many values of epsilon neither the lowest determinant nor the number of inverted triangles
-# fell by a tenth, and that determinant is so many epsilons below zero.  Of 129 tries on random domains (holes,
-# onto, letter, airfoil, jitter, spiral; up to 400 values of epsilon) none that ended valid was ever there, though
-# some need 120 values; of those that did not, nine in ten were, after 50 values on average.
-_PATIENCE, _NO_GAIN, _FAR_BELOW = 10, 0.9, 8.0
-
-
-def _judged(batch: MeshBatch, moved: MeshBatch, info: MoveInfo) -> tuple[MeshBatch, MoveInfo]:
-    """The status by exact signs of the mesh as it comes back."""
+def judged(batch: MeshBatch, moved: MeshBatch, info: MoveInfo) -> tuple[MeshBatch, MoveInfo]:
+    """`moved` with the status that its exact signs give it: a mesh is valid as it comes back, or it is not."""
     valid = ~segment_any(~upright(moved), batch.triangle_offsets)
     status = torch.where(valid, Status.VALID, torch.where(info.status == Status.VALID, Status.STALLED, info.status))
     return moved, replace(info, status=status)
 
 
-def _try_regularised(
+def try_regularised(
     batch: MeshBatch,
     packing: Packing,
     target: Target,
@@ -44,48 +37,59 @@ def _try_regularised(
     monitor: Monitor | None,
     settle: bool = False,
 ) -> tuple[MeshBatch, MoveInfo]:
+    """Move the vertices of `packing` by the regularised functional.
+
+    target  of the triangles, (T,) in the batch's unit
+    size    (V,) of the triangles around each vertex, in the batch's unit
+    settle  keep minimising valid meshes at the least epsilon until their energy settles
+    """
     # From the batch's unit to the packing's.
     unit = spread(packing.unit, batch.triangle_offsets)
     square = unit * unit
     packed = select_rows(
         Target(target.g11 * square, target.g12 * square, target.g22 * square, target.m * square), packing.triangles
     )
-    size = size / spread(packing.unit, batch.point_offsets)
-    unknowns, info = _regularised(packing, packed, size, options, monitor, settle)
-    return _judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
-
-
-def _regularised(
-    packing: Packing,
-    target: Target,
-    size: Tensor,
-    options: UntangleOptions,
-    monitor: Monitor | None,
-    settle: bool,
-) -> tuple[Tensor, MoveInfo]:
-    """Continuation in epsilon (Garanzha et al. 2021), each mesh with its own; `target` and `size` in packed units.
-
-    settle  go on with the valid meshes at the least epsilon until their energy settles
-    """
-    whole_batch = objective = MeshObjective(
+    objective = MeshObjective(
         Regularised(1.0),
-        target,
+        packed,
         packing.rows,
         packing.anchored,
         packing.block_offsets,
         packing.triangle_offsets,
-        packing.spread_vertices(size),
+        packing.spread_vertices(size / spread(packing.unit, batch.point_offsets)),
     )
+    unknowns = packing.unknowns.clone()
+    info = _nothing_done(unknowns, len(batch))
     settings = LbfgsOptions(
         max_iterations=options.max_iterations, gradient_tolerance=1e-6, energy_tolerance=1e-3, first_step=0.1
     )
-    unknowns = packing.unknowns.clone()
-    meshes = len(packing.unit)
+    _lower_epsilon(objective, unknowns, info, settings, options, monitor)
+    if settle:
+        _settle(objective, unknowns, info, settings, monitor)
+    return judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
+
+
+def _nothing_done(unknowns: Tensor, meshes: int) -> MoveInfo:
     whole = torch.zeros(meshes, dtype=torch.int64, device=unknowns.device)
-    info = MoveInfo(unknowns.new_zeros(meshes), unknowns.new_zeros(meshes), whole, whole.clone(), whole.clone())
+    return MoveInfo(unknowns.new_zeros(meshes), unknowns.new_zeros(meshes), whole, whole.clone(), whole.clone())
+
+
+def _lower_epsilon(
+    objective: MeshObjective,
+    unknowns: Tensor,
+    info: MoveInfo,
+    settings: LbfgsOptions,
+    options: UntangleOptions,
+    monitor: Monitor | None,
+) -> None:
+    """Minimise with an epsilon for each mesh, lower it, and so on; changes `unknowns` and `info` in place.
+
+    A mesh ends when it is valid, when it stalls, or after `options.max_continuations` values of epsilon.
+    """
+    meshes = len(info.status)
     eps = unknowns.new_ones(meshes)
-    hope = _Hope(eps)
-    rows, place = torch.arange(meshes, device=eps.device), torch.arange(len(unknowns), device=eps.device)
+    stall = _Stall(meshes, options, eps)
+    rows, slots = torch.arange(meshes, device=eps.device), torch.arange(len(unknowns), device=eps.device)
     lowest = segment_min(objective.det(unknowns), objective.triangle_offsets)
     for turn in range(options.max_continuations):
         info.status[rows[lowest > 0]] = Status.VALID
@@ -93,56 +97,71 @@ def _regularised(
         if not bool(going.any()):
             break
         if not bool(going.all()):
-            blocks = counts_from_offsets(objective.block_offsets)
-            place = place[going.repeat_interleave(blocks).repeat_interleave(BLOCK)]
+            slots = slots[_in_slots(objective, going)]
             rows, objective = rows[going], objective.select(going)
         here = eps[rows]
         objective = replace(objective, energy=Regularised(spread(here, objective.triangle_offsets)))
-        before = objective(unknowns[place])[0]
-        result = minimise(objective, unknowns[place], settings, monitor)
-        unknowns[place] = result.unknowns
+        before = objective(unknowns[slots])[0]
+        result = minimise(objective, unknowns[slots], settings, monitor)
+        unknowns[slots] = result.unknowns
         det = objective.det(result.unknowns)
         lowest = segment_min(det, objective.triangle_offsets)
         eps[rows] = _next_eps(here, lowest, before, result.energy)
-        info.energy[rows], info.gradient[rows] = result.energy, result.gradient
-        info.iterations[rows] += result.iterations
-        info.evaluations[rows] += result.evaluations
+        _record(info, rows, result)
         # Neither the vertices nor epsilon move any more.
         stuck = (result.iterations == 0) | ((eps[rows] >= 0.999 * here) & (result.status == Status.SETTLED))
-        stuck |= hope.lost(turn, rows, here, lowest, segment_count(det <= 0, objective.triangle_offsets))
+        stuck |= stall.reached(turn, rows, here, lowest, segment_count(det <= 0, objective.triangle_offsets))
         info.status[rows[stuck]] = Status.STALLED
     info.status[rows[lowest > 0]] = Status.VALID
     info.status[info.status == Status.RUNNING] = Status.ITERATION_LIMIT
+
+
+def _settle(
+    objective: MeshObjective, unknowns: Tensor, info: MoveInfo, settings: LbfgsOptions, monitor: Monitor | None
+) -> None:
+    """Minimise the valid meshes at the least epsilon until their energy settles; in place as above."""
     valid = info.status == Status.VALID
-    if settle and bool(valid.any()):
-        blocks = counts_from_offsets(whole_batch.block_offsets)
-        place = valid.repeat_interleave(blocks).repeat_interleave(BLOCK)
-        objective = replace(whole_batch.select(valid), energy=Regularised(_LEAST_EPS))
-        settings = replace(settings, energy_tolerance=1e-5)
-        result = minimise(objective, unknowns[place], settings, monitor)
-        unknowns[place] = result.unknowns
-        info.energy[valid], info.gradient[valid] = result.energy, result.gradient
-        info.iterations[valid] += result.iterations
-        info.evaluations[valid] += result.evaluations
-    return unknowns, info
+    if not bool(valid.any()):
+        return
+    slots = _in_slots(objective, valid)
+    objective = replace(objective.select(valid), energy=Regularised(_LEAST_EPS))
+    result = minimise(objective, unknowns[slots], replace(settings, energy_tolerance=1e-5), monitor)
+    unknowns[slots] = result.unknowns
+    _record(info, valid, result)
 
 
-class _Hope:
-    """What each mesh came to at the last values of epsilon: is there any gain left?
+def _in_slots(objective: MeshObjective, meshes: Tensor) -> Tensor:
+    """(N,) bool: the unknowns of the `meshes` (B,) bool."""
+    blocks = counts_from_offsets(objective.block_offsets)
+    return meshes.repeat_interleave(blocks).repeat_interleave(BLOCK)
 
-    lowest, inverted  (_PATIENCE, B) the lowest determinant and the number of inverted triangles
+
+def _record(info: MoveInfo, at: Tensor, result: LbfgsResult) -> None:
+    """Write what `minimise` came to for the meshes `at`, rows or mask, into `info`; work adds up."""
+    info.energy[at], info.gradient[at] = result.energy, result.gradient
+    info.iterations[at] += result.iterations
+    info.evaluations[at] += result.evaluations
+
+
+class _Stall:
+    """What each mesh came to at the last values of epsilon: does it still gain?
+
+    lowest, inverted  (patience, B) the lowest determinant and the number of inverted triangles
     """
 
-    def __init__(self, eps: Tensor) -> None:
-        self.lowest = eps.new_full((_PATIENCE, len(eps)), -torch.inf)
+    def __init__(self, meshes: int, options: UntangleOptions, like: Tensor) -> None:
+        self.options = options
+        self.lowest = like.new_full((options.stall_patience, meshes), -torch.inf)
         self.inverted = torch.zeros_like(self.lowest)
 
-    def lost(self, turn: int, rows: Tensor, eps: Tensor, lowest: Tensor, inverted: Tensor) -> Tensor:
-        """(B',) bool: the meshes `rows` (B',) that are no better than `_PATIENCE` values of epsilon ago."""
-        slot = turn % _PATIENCE
+    def reached(self, turn: int, rows: Tensor, eps: Tensor, lowest: Tensor, inverted: Tensor) -> Tensor:
+        """(B',) bool: the meshes `rows` (B',) that are no better than `stall_patience` values of epsilon ago."""
+        options = self.options
+        slot = turn % options.stall_patience
         before, some = self.lowest[slot, rows], self.inverted[slot, rows]
         self.lowest[slot, rows], self.inverted[slot, rows] = lowest, inverted.to(lowest.dtype)
-        return (lowest < _NO_GAIN * before) & (inverted >= _NO_GAIN * some) & (lowest < -_FAR_BELOW * eps)
+        no_gain = (lowest < options.stall_ratio * before) & (inverted >= options.stall_ratio * some)
+        return no_gain & (lowest < -options.stall_depth * eps)
 
 
 def _next_eps(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The size that triangles have round a vertex, smoothed over the mesh."""
+"""The size of the triangles around a vertex, smoothed over the mesh."""
 
 import torch
 from torch import Tensor
@@ -10,10 +10,10 @@ from ..mesh.triangle import SQRT3, corners, signed_area
 
 
 def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
-    """(V,) side of the equilateral triangle a vertex's triangles should have, in the batch's unit.
+    """(V,) side of the equilateral triangle that the triangles at a vertex should have, in the batch's unit.
 
-    From the mean |area| round each vertex, its root averaged over neighbours `sweeps` times, then
-    scaled per mesh so that the triangles' target areas sum to the enclosed area.
+    It starts from the root of the mean |area| around each vertex, which is averaged over neighbours `sweeps` times.
+    It is then scaled per mesh so that the triangles' target areas sum to the enclosed area.
     """
     t = corners(batch.points.to(torch.float64), batch.triangles)
     area = signed_area(t)
@@ -22,6 +22,7 @@ def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
     mean = spread(segment_sum(area.abs(), offsets) / counts_from_offsets(offsets), offsets)
     share = area.abs() / torch.where(mean > 0, mean, 1.0)
     means = Means(batch)
+    # Not below a thousandth of the mean size, so that no target has the size zero.
     size = means.round_vertices(share).sqrt().clamp_min(1e-3)
     for _ in range(sweeps):
         size = means.round_vertices(means.of_corners(size))

@@ -1,9 +1,9 @@
 """The last resort with a guarantee: forget the triangles of a tangled cavity and make them anew.
 
-Inside a simple boundary a valid triangulation with the same vertices always exists.  A cavity's rim
-is triangulated without its interior vertices; these go back in, where they were if they were
-inside, else where there is room.  Euler's formula gives back the cavity's number of triangles, so
-the new ones take the old rows.  Every sign is exact; the result is checked as a whole.
+Inside a simple boundary a valid triangulation with the same vertices always exists.  A cavity is triangulated without
+its interior vertices first; then these are inserted where they were if they lie inside, and elsewhere if not.  By
+Euler's formula the cavity has as many triangles as before, so the new ones take the old rows.  Every sign is exact, and
+the result is checked as a whole.
 """
 
 import dataclasses
@@ -17,27 +17,21 @@ from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, join
 from ..triangulating.arrays import Obstacle, among, distinct, signs
-from ..triangulating.crossings import crossing_pairs
-from ..triangulating.placing import place_vertices
-from ..triangulating.polygon import loops_of, unit_exponent, why_not_simple
-from ..triangulating.polygon_triangulation import locate, triangulate_polygon, triangulate_with
-from ..triangulating.recovery import recover
-from ..triangulating.triangulation import Triangulation
-
-# Of free vertices nearer to each other than this part of the cavity's mean spacing only one stays.
-_CLUSTER = 1e-6
+from ..triangulating.polygon import unit_exponent
+from .cavity import Cavity
+from .repair_check import why_not_certified
 
 
 @dataclass(frozen=True, eq=False)
 class Retriangulation:
     """What became of the cavities of one mesh.
 
-    mesh       the mesh with new triangles and places, same vertices and rows
+    mesh       the mesh with new triangles and positions; its vertices and the number of its rows are the same
     ok         whether everything asked for is now valid, checked exactly
     reason     why not, with vertex numbers; "" when ok
-    moved      (V,) bool, vertices that are in another place
-    rewritten  (T,) bool, rows of triangles that were made anew
-    cavities    how many pieces were made anew
+    moved      (V,) bool, vertices whose position has changed
+    rewritten  (T,) bool, rows of new triangles
+    cavities   number of cavities that were re-triangulated
     """
 
     mesh: MeshBatch
@@ -51,13 +45,14 @@ class Retriangulation:
 def retriangulate(mesh: MeshBatch, cavity: Tensor, keep: Tensor | None = None) -> Retriangulation:
     """Make the triangles of `cavity` (T,) bool anew, wherever their interior vertices are now.
 
-    A constrained edge is an inner wall: each piece of the cavity that it closes off is made alone.
-    keep (V,) bool, default all: the free vertices that stay in place if they can; the others are
-    spread over the cavity, by area over the squared length of the rim's edges nearby.
-
+    Constrained edges are inner walls: each component of the cavity that they close off is triangulated alone.
     Fixed vertices, constrained edges, the boundary and the triangles outside the cavity stay.
-    `ok` is False, and the mesh unchanged, when a piece's rim is not a simple polygon, a fixed
-    vertex lies outside its piece or on another, or a constrained edge crosses an edge that stays.
+
+    keep  (V,) bool: the free vertices that keep their position where possible; None: all.  The others are spread over
+          the cavity, in density by the squared length of the boundary edges nearby
+
+    `ok` is False, and the mesh unchanged, when the boundary of a component is not a simple polygon, when a fixed vertex
+    lies outside its component or on another vertex, or when a constrained edge crosses an edge that stays.
     Raises InvalidMeshError for a batch of several meshes or a mask of the wrong shape.
     """
     triangles = _triangles_of_one(mesh)
@@ -65,7 +60,7 @@ def retriangulate(mesh: MeshBatch, cavity: Tensor, keep: Tensor | None = None) -
     if cavity.shape != (len(triangles),) or cavity.dtype != torch.bool:
         raise InvalidMeshError(f"cavity must be ({len(triangles)},) bool, not {tuple(cavity.shape)} {cavity.dtype}")
     work = _Work(mesh, keep)
-    for rows, outer in work.pieces(cavity.cpu().numpy()):
+    for rows, outer in work.components(cavity.cpu().numpy()):
         reason = work.rebuild(rows, outer)
         if reason:
             return _unchanged(mesh, reason)
@@ -75,12 +70,12 @@ def retriangulate(mesh: MeshBatch, cavity: Tensor, keep: Tensor | None = None) -
 
 
 def untangle_by_retriangulation(mesh: MeshBatch, keep: Tensor | None = None) -> Retriangulation:
-    """Make anew the smallest cavities that leave no inverted or flat triangle in the mesh.
+    """Re-triangulate the smallest cavities that leave no inverted or flat triangle in the mesh.
 
-    Each cavity starts as the bad triangles and the ring around them, and grows ring by ring until
-    its rim is a simple polygon that holds its fixed vertices; at last it is all that the boundary
-    and the constrained edges close off.  `keep` as in `retriangulate`.  With `ok` False the cavities
-    that could be repaired are, and `reason` says what stopped the others.
+    Each cavity starts as the inverted triangles and the ring around them.  It grows ring by ring until its boundary is
+    a simple polygon around its fixed vertices; at last it is all that the boundary and the constrained edges close
+    off.  `keep` is that of `retriangulate`.  When `ok` is False, the cavities that could be repaired are, and `reason`
+    says what stopped the others.
     Raises InvalidMeshError for a batch of several meshes.
     """
     _triangles_of_one(mesh)
@@ -99,8 +94,8 @@ def untangle_by_retriangulation(mesh: MeshBatch, keep: Tensor | None = None) -> 
 class RetriangulationInfo:
     """What `retriangulate_cavities` did.
 
-    cavities  (B,) int64 pieces made anew in each mesh
-    reasons  for each mesh what stopped the others, "" where nothing did
+    cavities  (B,) int64 number of cavities re-triangulated in each mesh
+    reasons   for each mesh what stopped the other cavities, "" where nothing did
     """
 
     cavities: Tensor
@@ -108,7 +103,7 @@ class RetriangulationInfo:
 
 
 def retriangulate_cavities(batch: MeshBatch) -> tuple[MeshBatch, RetriangulationInfo]:
-    """`untangle_by_retriangulation` on each mesh of a batch, as far as it goes, without the last look at the whole."""
+    """`untangle_by_retriangulation` of each mesh of a batch, without the check of the whole at the end."""
     region, face = _regions(batch), batch.triangle_offsets.tolist()
     meshes, made, reasons = [], [], []
     for b, mesh in enumerate(batch.split()):
@@ -121,7 +116,7 @@ def retriangulate_cavities(batch: MeshBatch) -> tuple[MeshBatch, Retriangulation
 
 
 def _regions(batch: MeshBatch) -> np.ndarray:
-    """(T,) what the boundary and the constrained edges close off, numbered by first triangles."""
+    """(T,) the region of each triangle: boundary and constrained edges close it off; numbered by first triangles."""
     triangles, count = batch.triangles.cpu(), len(batch.points)
     twin, walls = connectivity.twins(triangles), batch.constrained_edges.cpu()
     if not len(walls):
@@ -131,43 +126,8 @@ def _regions(batch: MeshBatch) -> np.ndarray:
     return connectivity.triangle_components(triangles, twin, wall).numpy()
 
 
-def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
-    """What is wrong with `after` as a repair of `before` in the triangles `rows` (T,) bool; "" if nothing.
-
-    The exact sign of every triangle of `rows`; each edge in two triangles that run along it
-    opposite ways, or on the same boundary as before; constrained edges and fixed vertices in place;
-    the same vertices in use and as many triangles, so the same Euler number.
-    """
-    points, triangles = _numpy(after.points.to(torch.float64)), after.triangles
-    sign = signs(points, *_numpy(triangles).T)
-    bad = np.flatnonzero((sign <= 0) & _numpy(rows))
-    if len(bad):
-        return f"triangles row {bad[0]} {triangles[int(bad[0])].tolist()} is inverted or flat ({len(bad)} rows are)"
-    count = len(points)
-    there = connectivity.tails(triangles) * count + connectivity.heads(triangles)
-    if len(there.unique()) < len(there):
-        return "two triangles run along one edge the same way"
-    twin, old_twin = connectivity.twins(triangles), connectivity.twins(before.triangles)
-    rims = [connectivity.boundary_edges(t, w) for t, w in ((triangles, twin), (before.triangles, old_twin))]
-    new, old = ((rim[:, 0] * count + rim[:, 1]).sort().values for rim in rims)
-    if not torch.equal(new, old):
-        return "the boundary edges changed"
-    kept = connectivity.edge_keys(after.constrained_edges[:, 0], after.constrained_edges[:, 1], count)
-    present = connectivity.edges(triangles, twin)
-    missing = ~torch.isin(kept, connectivity.edge_keys(present[:, 0], present[:, 1], count))
-    if bool(missing.any()):
-        return f"the constrained edge {after.constrained_edges[missing][0].tolist()} is gone"
-    if not torch.equal(after.points[after.fixed], before.points[before.fixed]):
-        return "a fixed vertex moved"
-    # With the same rim and number of triangles this is the Euler number.
-    used, once = triangles.unique(), before.triangles.unique()
-    if len(triangles) != len(before.triangles) or not torch.equal(used, once):
-        return f"{len(used)} vertices are in {len(triangles)} triangles, not {len(once)} in {len(before.triangles)}"
-    return ""
-
-
 class _Work:
-    """One mesh's arrays while its cavities are re-triangulated; points in units of a power of two near its size."""
+    """One mesh as arrays while its cavities are re-triangulated; points in units of a power of two near its size."""
 
     def __init__(self, mesh: MeshBatch, keep: Tensor | None) -> None:
         self.dtype = _numpy(mesh.points).dtype
@@ -185,16 +145,19 @@ class _Work:
         self.cavities = 0
 
     def untangle(self, region: np.ndarray) -> list[str]:
-        """Make anew the smallest cavities that will do; what stopped the others.  region (T,) as from `_regions`."""
+        """Re-triangulate the smallest cavities that suffice; returns what stopped the others.
+
+        region  (T,) as from `_regions`
+        """
         size = np.bincount(region)
         wanted = signs(self.points, *self.triangles.T) <= 0
         reasons = []
         attempt = 0
         while wanted.any():
-            # Rings get dearer with their number; a cavity slightly too large does no harm.
+            # Rings cost more the more there are, and a cavity that is slightly too large does no harm.
             for _ in range(1 + attempt // 3):
                 wanted = _with_ring(self.triangles, region, wanted)
-            for rows, outer in sorted(self.pieces(wanted), key=lambda piece: len(piece[0])):
+            for rows, outer in sorted(self.components(wanted), key=lambda component: len(component[0])):
                 reason = self.rebuild(rows, outer)
                 if reason and len(rows) == size[region[rows[0]]]:
                     reasons.append(reason)
@@ -203,10 +166,10 @@ class _Work:
             attempt += 1
         return reasons
 
-    def pieces(self, cavity: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The parts of `cavity` (T,) bool that are joined by edges and cross no constrained one.
+    def components(self, cavity: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The parts of `cavity` (T,) bool whose triangles are joined by edges that are not constrained.
 
-        Of each its rows (N,), and which of their half-edges (3N,) bool have no other of the part beyond.
+        Returns the rows (N,) of each and (3N,) bool: those of their half-edges that lie on its boundary.
         """
         rows = np.flatnonzero(cavity)
         triangles = torch.from_numpy(self.triangles[rows])
@@ -221,32 +184,29 @@ class _Work:
         return [(rows[part], outer[part].ravel()) for part in parts if len(part)]
 
     def rebuild(self, rows: np.ndarray, outer: np.ndarray) -> str:
-        """New triangles in `rows`, a piece with its `outer` half-edges; "" or why not, with nothing changed."""
-        piece = self.triangles[rows]
-        vertices, local = np.unique(piece, return_inverse=True)
+        """Make the triangles of a component anew; returns "", or why that is impossible, with nothing changed.
+
+        rows, outer  as from `components`
+        """
+        vertices, local = np.unique(self.triangles[rows], return_inverse=True)
         local = local.reshape(-1, 3)
         ends = np.stack([local.ravel(), np.roll(local, -1, 1).ravel()], 1)
         wall = among(self._keys(*vertices[ends].T), self.walls)
-        built = _fill(
+        cavity = Cavity(
             points=self.points[vertices],
-            rim=ends[outer],
+            boundary=ends[outer],
             dangling=_edges_of(ends[wall & ~outer]),
             fixed=self.fixed[vertices],
             keep=self.keep[vertices],
             dtype=self.dtype,
         )
+        built = cavity.filled()
         if isinstance(built, Obstacle):
             return str(built.renumbered(vertices))
         corners, points, moved = built
         if len(corners) != len(rows):
-            return f"the piece has {len(rows)} triangles, and its rim and vertices ask for {len(corners)}"
-        # A chord of the rim may be an edge outside already, if the mesh there lies over itself.
-        on_rim = np.zeros(len(vertices), bool)
-        on_rim[ends[outer]] = True
-        sides = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)
-        chords = distinct(self._keys(*vertices[sides[on_rim[sides].all(1)]].T))
-        chords = chords[~among(chords, self._keys(*vertices[ends[outer]].T))]
-        taken = chords[among(chords, self._keys_outside(rows, vertices[on_rim]))] if len(chords) else chords
+            return f"the cavity has {len(rows)} triangles, but its boundary and vertices need {len(corners)}"
+        taken = self._made_twice(rows, vertices, corners, cavity.boundary)
         if len(taken):
             return f"the edge {divmod(int(taken[0]), len(self.points))} exists outside the cavity already"
         self.triangles[rows] = vertices[corners]
@@ -256,12 +216,26 @@ class _Work:
         self.cavities += 1
         return ""
 
+    def _made_twice(
+        self, rows: np.ndarray, vertices: np.ndarray, corners: np.ndarray, boundary: np.ndarray
+    ) -> np.ndarray:
+        """The keys of new edges that exist outside the component, too.
+
+        Such an edge is a chord of the boundary, and the mesh outside lies over the component.
+        """
+        on_boundary = np.zeros(len(vertices), bool)
+        on_boundary[boundary] = True
+        sides = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)
+        chords = distinct(self._keys(*vertices[sides[on_boundary[sides].all(1)]].T))
+        chords = chords[~among(chords, self._keys(*vertices[boundary].T))]
+        return chords[among(chords, self._keys_outside(rows, vertices[on_boundary]))] if len(chords) else chords
+
     def result(self, mesh: MeshBatch) -> Retriangulation:
         """The mesh as it is now."""
         device = mesh.points.device
-        places = torch.from_numpy(np.ldexp(self.points, self.exponent)).to(mesh.points)
+        positions = torch.from_numpy(np.ldexp(self.points, self.exponent)).to(mesh.points)
         moved = torch.from_numpy(self.moved).to(device)
-        points = torch.where(moved[:, None], places, mesh.points)
+        points = torch.where(moved[:, None], positions, mesh.points)
         triangles = torch.from_numpy(self.triangles).to(device)
         rewritten = torch.from_numpy(self.rewritten).to(device)
         return Retriangulation(
@@ -272,7 +246,7 @@ class _Work:
         return np.minimum(u, v) * len(self.points) + np.maximum(u, v)
 
     def _keys_outside(self, rows: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-        """The keys of the edges among `vertices` of the triangles other than `rows`."""
+        """The keys of edges of the triangles other than `rows`, among them all that join two of `vertices`."""
         mark = np.zeros(len(self.points), bool)
         mark[vertices] = True
         a, b, c = (mark[np.ascontiguousarray(v)] for v in self.triangles.T)
@@ -285,94 +259,6 @@ class _Work:
 def _edges_of(ends: np.ndarray) -> np.ndarray:
     """(K, 2) the edges among the half-edges `ends` (N, 2), each once."""
     return np.unique(np.sort(ends, 1), axis=0) if len(ends) else ends
-
-
-def _fill(
-    points: np.ndarray, rim: np.ndarray, dangling: np.ndarray, fixed: np.ndarray, keep: np.ndarray, dtype: np.dtype
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | Obstacle:
-    """Triangulate inside the directed edges `rim` (E, 2) with all of `points` (V, 2).
-
-    dangling (K, 2) edges inside that must be there; fixed (V,) bool vertices that must stay; keep
-    (V,) bool vertices that stay if they can; dtype: that of the places to choose.
-    Returns the triangles (T, 3), the points, and which moved (V,) bool; or what is in the way.
-    """
-    loops = loops_of(rim)
-    ends = points[rim]
-    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    degree = np.bincount(rim.ravel(), minlength=len(points))
-    spacing = np.bincount(rim.ravel(), np.repeat(length, 2), len(points)) / np.maximum(degree, 1)
-    on_rim = degree > 0
-    anchors, free = np.flatnonzero(fixed & ~on_rim), ~fixed & ~on_rim
-    obstacle = why_not_simple(points, loops)
-    if obstacle:
-        return obstacle
-    stay = np.flatnonzero(free & keep)
-    area = 0.5 * float((ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]).sum())
-    # The edge of a square that each had if they shared the area.
-    stay = stay[_scattered(points[stay], _CLUSTER * np.sqrt(abs(area) / max(len(stay), 1)))]
-    work = triangulate_with(points.copy(), loops, spacing, np.concatenate([anchors, stay]), dangling)
-    if work is None or not among(anchors, work.corners).all():
-        built = _step_by_step(points.copy(), loops, spacing, anchors, stay, dangling)
-        if isinstance(built, Obstacle):
-            return built
-        work = built
-    moved = free.copy()
-    moved[work.corners] = False
-    left = place_vertices(work, np.flatnonzero(moved), dtype)
-    if len(left):
-        return Obstacle(f"no room between floating-point numbers for {len(left)} vertices, as {{}}", (int(left[0]),))
-    return work.corners, work.points, moved
-
-
-def _step_by_step(
-    points: np.ndarray,
-    loops: list[np.ndarray],
-    spacing: np.ndarray,
-    anchors: np.ndarray,
-    stay: np.ndarray,
-    dangling: np.ndarray,
-) -> Triangulation | Obstacle:
-    """What `triangulate_with` does, with reasons: all `anchors` (N,), those of `stay` (N,) that can go in."""
-    work = triangulate_polygon(points, loops, spacing)
-    if isinstance(work, Obstacle):
-        return work
-    refused = _insert(work, anchors)
-    if len(refused):
-        return Obstacle(
-            "the fixed vertex {} lies outside its region, on its rim, or on another vertex", (int(refused[0]),)
-        )
-    crossing = crossing_pairs(points, dangling)
-    if len(crossing):
-        ends = tuple(dangling[crossing[0]].ravel().tolist())
-        return Obstacle("the constrained edges [{}, {}] and [{}, {}] meet", ends)
-    obstacle = recover(work, dangling)
-    if obstacle is not None:
-        return obstacle
-    _insert(work, stay)
-    return work
-
-
-def _insert(work: Triangulation, vertices: np.ndarray) -> np.ndarray:
-    """Put `vertices` in where they are; those that cannot, returned."""
-    if not len(vertices):
-        return vertices
-    # The rim's triangles are long and their boxes large; a few vertices in, and the rest is located fast.
-    order = np.random.default_rng(0).permutation(vertices)
-    cuts = [len(order) // 64, len(order) // 8] if len(order) > 2000 else []
-    refused = []
-    for part in np.split(order, cuts):
-        home = locate(work.points, part, work.corners)
-        refused += [part[home < 0], work.insert(part[home >= 0], home[home >= 0])]
-    return np.concatenate(refused)
-
-
-def _scattered(points: np.ndarray, distance: float) -> np.ndarray:
-    """Rows of `points` (N, 2), one of each square of side `distance`; all if that cannot be told."""
-    with np.errstate(all="ignore"):
-        square = np.floor((points - points.min(0, initial=np.inf)) / distance)
-    if not np.isfinite(square).all():
-        return np.arange(len(points))
-    return np.unique(square[:, 0] + 1j * square[:, 1], return_index=True)[1]
 
 
 def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -1,0 +1,133 @@
+"""One cavity: new triangles inside its boundary, with exactly the vertices that it has.
+
+            +---+                  +---+                  +---+
+           / \\ / \\                /     \\                /|\\  |\
+          +---x---+     -->      +   x   +     -->      + | x-+-+
+           \\ / \\ /                \\     /                \\|/  |/
+            +---+                  +---+                  +---+
+
+The boundary is triangulated first.  Vertices inside are then inserted where they are; vertices that lie outside, or on
+others, are spread over the triangles where there is room.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..triangulating.arrays import Obstacle, among
+from ..triangulating.crossings import crossing_pairs
+from ..triangulating.placing import place_vertices
+from ..triangulating.polygon import loops_of, why_not_simple
+from ..triangulating.polygon_triangulation import locate, triangulate_polygon, triangulate_with
+from ..triangulating.recovery import recover
+from ..triangulating.triangulation import Triangulation
+
+# Free vertices nearer to each other than this part of the cavity's mean spacing are on one spot: only one stays there.
+_CLUSTER = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Cavity:
+    """A cavity to fill, with vertices numbered in its own way.
+
+    points    (V, 2)
+    boundary  (E, 2) its boundary edges, counter-clockwise around it and clockwise around its holes
+    dangling  (K, 2) edges inside that must be there
+    fixed     (V,) bool, vertices that must stay
+    keep      (V,) bool, vertices that stay where possible
+    dtype     the precision of the positions to choose
+    """
+
+    points: np.ndarray
+    boundary: np.ndarray
+    dangling: np.ndarray
+    fixed: np.ndarray
+    keep: np.ndarray
+    dtype: np.dtype
+
+    def filled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | Obstacle:
+        """The triangles (T, 3), the points, and which of them moved (V,) bool; or what is in the way."""
+        loops = loops_of(self.boundary)
+        obstacle = why_not_simple(self.points, loops)
+        if obstacle:
+            return obstacle
+        spacing, on_boundary = self._spacing()
+        anchors, free = np.flatnonzero(self.fixed & ~on_boundary), ~self.fixed & ~on_boundary
+        stay = self._apart(np.flatnonzero(free & self.keep))
+        work = triangulate_with(self.points.copy(), loops, spacing, np.concatenate([anchors, stay]), self.dangling)
+        if work is None or not among(anchors, work.corners).all():
+            built = self._step_by_step(loops, spacing, anchors, stay)
+            if isinstance(built, Obstacle):
+                return built
+            work = built
+        moved = free.copy()
+        moved[work.corners] = False
+        left = place_vertices(work, np.flatnonzero(moved), self.dtype)
+        if len(left):
+            return Obstacle(
+                f"no room between floating-point numbers for {len(left)} vertices, as {{}}", (int(left[0]),)
+            )
+        return work.corners, work.points, moved
+
+    def _spacing(self) -> tuple[np.ndarray, np.ndarray]:
+        """(V,) the mean length of the boundary edges at each vertex, and (V,) bool: is it on the boundary?"""
+        ends, count = self.points[self.boundary], len(self.points)
+        length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        degree = np.bincount(self.boundary.ravel(), minlength=count)
+        total = np.bincount(self.boundary.ravel(), np.repeat(length, 2), count)
+        return total / np.maximum(degree, 1), degree > 0
+
+    def _apart(self, vertices: np.ndarray) -> np.ndarray:
+        """`vertices` (N,) without those that are on the spot of another."""
+        ends = self.points[self.boundary]
+        area = 0.5 * float((ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]).sum())
+        # The side of the square that each vertex had if they shared the area.
+        spacing = np.sqrt(abs(area) / max(len(vertices), 1))
+        return vertices[_scattered(self.points[vertices], _CLUSTER * spacing)]
+
+    def _step_by_step(
+        self, loops: list[np.ndarray], spacing: np.ndarray, anchors: np.ndarray, stay: np.ndarray
+    ) -> Triangulation | Obstacle:
+        """What `triangulate_with` does, with reasons: all `anchors` (N,), and of `stay` (N,) those that fit in."""
+        work = triangulate_polygon(self.points.copy(), loops, spacing)
+        if isinstance(work, Obstacle):
+            return work
+        refused = _insert(work, anchors)
+        if len(refused):
+            return Obstacle(
+                "the fixed vertex {} lies outside its region, on its boundary, or on another vertex",
+                (int(refused[0]),),
+            )
+        crossing = crossing_pairs(self.points, self.dangling)
+        if len(crossing):
+            ends = tuple(self.dangling[crossing[0]].ravel().tolist())
+            return Obstacle("the constrained edges [{}, {}] and [{}, {}] meet", ends)
+        obstacle = recover(work, self.dangling)
+        if obstacle is not None:
+            return obstacle
+        _insert(work, stay)
+        return work
+
+
+def _insert(work: Triangulation, vertices: np.ndarray) -> np.ndarray:
+    """Insert `vertices` where they are; returns those that cannot go in."""
+    if not len(vertices):
+        return vertices
+    # The triangles of the boundary are long, and their bounding boxes large.  Once a few vertices are in, the others
+    # are located fast.
+    order = np.random.default_rng(0).permutation(vertices)
+    cuts = [len(order) // 64, len(order) // 8] if len(order) > 2000 else []
+    refused = []
+    for part in np.split(order, cuts):
+        home = locate(work.points, part, work.corners)
+        refused += [part[home < 0], work.insert(part[home >= 0], home[home >= 0])]
+    return np.concatenate(refused)
+
+
+def _scattered(points: np.ndarray, distance: float) -> np.ndarray:
+    """Rows of `points` (N, 2), one from each square of side `distance`; all if the squares cannot be numbered."""
+    with np.errstate(all="ignore"):
+        square = np.floor((points - points.min(0, initial=np.inf)) / distance)
+    if not np.isfinite(square).all():
+        return np.arange(len(points))
+    return np.unique(square[:, 0] + 1j * square[:, 1], return_index=True)[1]
