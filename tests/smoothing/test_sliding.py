@@ -74,8 +74,8 @@ def region_areas(mesh: MeshBatch) -> list[float]:
 
 
 def network(mesh: MeshBatch) -> torch.Tensor:
-    rim = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
-    return torch.cat([rim, mesh.constrained_edges])
+    boundary = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
+    return torch.cat([boundary, mesh.constrained_edges])
 
 
 def crossings(mesh: MeshBatch) -> int:
@@ -93,7 +93,7 @@ def test_sliding_improves_what_a_fixed_boundary_holds_back(name):
     assert quality(slid).mean.item() < quality(held).mean.item()
     assert torch.equal(mesh.points, before)
     assert crossings(slid) == 0
-    # Exact up to the rounding of the vertices' places.
+    # Exact up to the rounding of the vertices' positions.
     assert float(total_area(slid)) == pytest.approx(float(total_area(mesh)), rel=1e-14)
     assert region_areas(slid) == pytest.approx(region_areas(mesh), rel=1e-13)
 
@@ -128,15 +128,15 @@ def test_oblique_sides_stay_straight_to_rounding():
 def test_on_a_circle_vertices_stay_close_to_it_and_spread():
     mesh = polar()
     slid, _ = smooth(mesh, SLIDE)
-    rim = mesh.points.norm(dim=1) > 0.999
-    angle = torch.atan2(slid.points[rim, 1], slid.points[rim, 0])
-    old = torch.atan2(mesh.points[rim, 1], mesh.points[rim, 0])
+    edge = mesh.points.norm(dim=1) > 0.999
+    angle = torch.atan2(slid.points[edge, 1], slid.points[edge, 0])
+    old = torch.atan2(mesh.points[edge, 1], mesh.points[edge, 0])
     # Evenly spread vertices enclose more: the circle shrinks by what keeps the polygon's area.
     gap, even = old.sort().values.diff(), 2 * math.pi / 24
     assert gap.max().item() > 2 * gap.min().item()
     spread = angle.sort().values.diff()
     assert spread.max().item() < 1.2 * spread.min().item()
-    shift = 1 - slid.points[rim].norm(dim=1)
+    shift = 1 - slid.points[edge].norm(dim=1)
     assert 0 < shift.max().item() < even**2 / 8
 
 

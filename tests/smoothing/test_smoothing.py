@@ -214,8 +214,8 @@ def test_a_turned_mesh_gives_the_turned_result_nearly(name):
 def test_renumbering_renumbers_the_result_nearly(rng):
     mesh = ROUGH["ring"]()
     order = torch.from_numpy(rng.permutation(len(mesh.points)))
-    place = order.argsort()
-    other = MeshBatch.from_arrays(mesh.points[order], place[mesh.triangles].roll(1, 1).flip(0))
+    new_row = order.argsort()
+    other = MeshBatch.from_arrays(mesh.points[order], new_row[mesh.triangles].roll(1, 1).flip(0))
     options = SmoothOptions(energy_tolerance=0.0, gradient_tolerance=1e-7, max_iterations=2000)
     torch.testing.assert_close(
         smooth(other, options)[0].points, smooth(mesh, options)[0].points[order], rtol=0, atol=1e-5
@@ -234,7 +234,7 @@ def test_single_precision_in_is_valid_single_precision_out(name):
 
 
 def test_rounding_to_single_precision_that_flattens_a_sliver_puts_the_mesh_back():
-    # The free vertex lives in a slit of two last bits, between the lower side and a notch; its best place is a
+    # The free vertex lives in a slit of two last bits, between the lower side and a notch; its best position is a
     # third of a bit above the side, and single precision would put it onto the side.
     bit = 2.0**-20
     points = [[0, 8], [1, 8], [6, 9], [0.5, 8 + 2 * bit], [-5, 9], [0.5, 8 + bit]]

@@ -54,7 +54,7 @@ def test_beta_leaves_alone_what_is_larger_already():
     assert inverted(moved) == 0
     near = set(mesh.triangles[quality(tangled).area < 0.1 * 0.005].reshape(-1).tolist())
     changed = set((moved.points != tangled.points).any(1).nonzero().squeeze(1).tolist())
-    # Who is pushed pushes its neighbours; two rings round the tangle are all that can have moved.
+    # Who is pushed pushes its neighbours; two rings around the tangle are all that can have moved.
     for _ in range(2):
         near |= {v for row in mesh.triangles.tolist() if near & set(row) for v in row}
     assert changed

@@ -21,7 +21,7 @@ def test_continuations_are_limited():
 
 
 def hopeless() -> MeshBatch:
-    """A grid with four held vertices in its middle, two of which have changed places: their triangles stay inverted."""
+    """A grid with four held vertices in its middle, two of which have been exchanged: their triangles stay inverted."""
     mesh = meshes.grid(10, 10)
     points, fixed = mesh.points.clone(), mesh.fixed.clone()
     one, two, *rest = 49, 60, 48, 61

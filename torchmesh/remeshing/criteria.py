@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..mesh.measure import Quality
 from ..mesh.ragged import counts_from_offsets, segment_count
+from ..smoothing.polishing import PolishOptions
 from .options import RemeshOptions
 
 # The mean inverse mean ratio that flips and smoothing should reach: above it, relocation is tried, and shaken.
@@ -18,7 +19,7 @@ class CrowdedOptions:
     """What `crowded` finds poor, in inverse mean ratios and numbers of triangles.
 
     mean          flips and smoothing should come below this mean
-    max           no triangle should be above this maximum: that of `PolishOptions.ratio`
+    max           no triangle should be above this maximum, at which polishing starts, too
     huge          in a mesh of more triangles relocation takes three times as long as all else
     mean_of_huge  the mean above which it is worth that there
     few           a part of the triangles of a mesh: if no more than these are above `max`, work on all of a large
@@ -26,7 +27,7 @@ class CrowdedOptions:
     """
 
     mean: float = GOOD_MEAN
-    max: float = 1.9
+    max: float = PolishOptions.ratio
     huge: int = 200_000
     mean_of_huge: float = 1.08
     few: float = 1e-4

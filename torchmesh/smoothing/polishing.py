@@ -1,8 +1,9 @@
 """The worst triangles of a valid mesh, each improved together with its neighbourhood, worst first.
 
-        bad triangles --> patches round them --> every single flip of every patch, as a batch
-             ^                                    of small meshes, each smoothed for its worst
-             +---- the best of each goes back, of patches in touch the worst one's ----+
+        bad triangles --> patches around them --> every single flip of every patch, as a batch
+             ^                                     of small meshes, each smoothed for its worst
+             |                                                                  |
+             +-- the best of each goes back; where patches touch, only one does +
 
 Flips and smoothing minimise the sum over a mesh and end where no single flip lowers that sum.  They never try a flip
 that makes its two triangles worse although the whole patch is better once its vertices have moved.  Local search that
