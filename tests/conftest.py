@@ -25,6 +25,7 @@ SLOW = (
     "pictures/test_page_in_browser.py",
     "pictures/test_pictures.py",
     "test_docs.py",
+    "test_interrupts.py",
     "test_readme.py",
 )
 FOLDER = Path(__file__).parent

@@ -2,6 +2,7 @@
 
 import itertools
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import meshes
@@ -9,7 +10,7 @@ import meshio
 import numpy as np
 import pytest
 import torch
-from file_runs import job
+from file_runs import POSIX, job
 
 from torchmesh import ImproveOptions, MeshBatch, improve, read, write
 from torchmesh.batches import file_improvement
@@ -153,3 +154,29 @@ def test_a_fingerprint_follows_the_content(tmp_path):
     digests = [fingerprint(tmp_path / name)["digest"] for name in "abc"]
     assert digests[0] == digests[1] != digests[2]
     assert fingerprint(tmp_path / "a")["bytes"] == 3
+
+
+@POSIX
+def test_a_planted_link_to_a_folder_is_an_error_and_nothing_is_written_through_it(jobs, tmp_path):
+    given = jobs[0]
+    away = tmp_path / "away"
+    away.mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "sub").symlink_to(away)
+    planted = replace(given, output=str(tmp_path / "out" / "sub" / "m0.vtu"))
+    (result,) = improve_jobs([planted], ImproveOptions(), 10**6)
+    assert "out/sub: is a symbolic link in the folder of results" in result.error
+    assert not list(away.iterdir())
+
+
+@POSIX
+def test_a_planted_link_at_the_result_is_replaced(jobs, tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    target = Path(jobs[0].output)
+    target.parent.mkdir()
+    target.symlink_to(precious)
+    (result,) = improve_jobs(jobs[:1], ImproveOptions(), 10**6)
+    assert result.error is None
+    assert not target.is_symlink()
+    assert precious.read_text() == "mine"

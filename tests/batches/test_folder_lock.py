@@ -71,3 +71,14 @@ def test_a_folder_that_cannot_be_written_is_an_error(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(MeshIOError, match="cannot be written"):
         enter(tmp_path / "file" / "out")
+
+
+@pytest.mark.parametrize("name", [".torchmesh-run", ".torchmesh-run.lock", "manifest.jsonl"])
+def test_links_planted_in_the_folder_are_not_followed(tmp_path, name):
+    out, precious = tmp_path / "out", tmp_path / "precious"
+    out.mkdir()
+    precious.write_text("mine")
+    (out / name).symlink_to(precious)
+    with pytest.raises(MeshIOError, match=rf"{name}: is a symbolic link"), locked_folder(out, "manifest.jsonl"):
+        pytest.fail("the folder was entered")
+    assert precious.read_text() == "mine"

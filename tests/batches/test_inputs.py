@@ -1,5 +1,6 @@
 """Which files a run improves, and where their results go."""
 
+import glob
 import shutil
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import pytest
 from file_runs import NAMES, result_names
 
 from torchmesh import improve_files
+from torchmesh.batches.inputs import _matches, files_below
 from torchmesh.batches.runs import Run
 from torchmesh.errors import MeshIOError
 
@@ -67,3 +69,42 @@ def test_a_result_never_overwrites_an_input(inputs, tmp_path):
     (tmp_path / "link").symlink_to(inputs)
     with pytest.raises(MeshIOError, match="would be overwritten by its own result"):
         improve_files(inputs, tmp_path / "link")
+
+
+def test_links_that_lead_back_are_not_followed(inputs, tmp_path):
+    """Two such links in one folder have made the search endless."""
+    for name in ("loop", "loop2"):
+        (inputs / name).symlink_to(".")
+    (inputs / "a" / "up").symlink_to(tmp_path)  # above all inputs
+    (inputs / "b" / "side").symlink_to(inputs / "a")
+    out = tmp_path / "out"
+    assert result_names(inputs, out) == NAMES
+    assert result_names(f"{inputs}/**/*.vtu", out) == ["a/x.vtu", "b/c/x.vtu", "b/x.vtu"]
+
+
+def test_a_link_to_another_folder_is_followed_once(inputs, tmp_path):
+    (tmp_path / "far" / "deep").mkdir(parents=True)
+    shutil.copy(inputs / "a" / "x.vtu", tmp_path / "far" / "deep" / "z.vtu")
+    (tmp_path / "far" / "back").symlink_to(inputs)
+    for name in ("link", "link2"):
+        (inputs / name).symlink_to(tmp_path / "far")
+    assert result_names(inputs, tmp_path / "out") == [*NAMES, "link/deep/z.vtu"]
+
+
+def test_a_link_to_the_folder_of_results_is_not_followed(inputs, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(inputs / "a", out / "a")
+    (inputs / "results").symlink_to(out)
+    assert result_names(inputs, out) == NAMES
+
+
+def test_patterns_choose_as_those_of_glob(tmp_path):
+    names = ["a.vtu", "b/a.vtu", "b/c/a.vtu", "b/.hidden/a.vtu", ".a.vtu", "b/c/d.txt", "ab/x/c/a.vtu"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    for pattern in ("**/*.vtu", "**", "b/**", "*b/**/c/*", "**/c/**/a.vtu", "*/*.vtu", "a**/x/c/*", "**/[ac].vtu"):
+        path = f"{tmp_path}/{pattern}"
+        expected = sorted({file for file in glob.glob(path, recursive=True) if Path(file).is_file()})
+        assert sorted(_matches(path, "")[1]) == expected, pattern
+    assert sorted(files_below(str(tmp_path))) == sorted(n for n in names if "/." not in f"/{n}")

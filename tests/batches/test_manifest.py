@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 
 import pytest
@@ -72,3 +73,14 @@ def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
     with pytest.raises(MissingDependencyError, match=r"torchmesh-untangle\[parquet\]"):
         manifest.write_table(tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_that_is_not_utf8_comes_back_and_has_escapes_in_the_table(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    name = os.fsdecode(b"x\xff.vtu")
+    with manifest.Journal(tmp_path) as journal:
+        journal.add(FileResult(name, f"in/{name}", error=f"in/{name}: bad", warnings=[name]))
+    assert list(manifest.load(tmp_path)) == [name]
+    (row,) = pyarrow.read_table(manifest.write_table(tmp_path)).to_pylist()
+    assert row["file"] == r"in/x\xff.vtu"
+    assert row["warnings"] == [r"x\xff.vtu"]

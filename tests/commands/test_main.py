@@ -1,8 +1,12 @@
 """The command line as a whole: bad input and usage, help, and what it imports."""
 
+import json
+import os
 import shlex
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from command_line import Outcome, is_one_clear_line, names, process
@@ -159,3 +163,51 @@ def test_nothing_heavy_is_imported_by_the_command_line_itself():
     code = f"import sys, torchmesh.commands.main; print(*(m for m in {heavy!r} if m in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout.split(), done.stderr) == (0, [], "")
+
+
+# --- odd surroundings --------------------------------------------------------------------------------
+
+
+def shell(line: str, folder: Path) -> subprocess.CompletedProcess:
+    """The outcome of a line of shell in which $T is the program."""
+    line = line.replace("$T", f"{shlex.quote(sys.executable)} -m torchmesh")
+    return subprocess.run(["bash", "-c", line], cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+posix = pytest.mark.skipif(os.name == "nt", reason="a POSIX shell")
+
+
+@posix
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&-"])
+def test_closed_streams_do_not_matter(folder, closed):
+    done = shell(f"$T improve tangled.vtu out.vtu {closed}", folder)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (folder / "out.vtu").exists()
+
+
+@posix
+def test_a_reader_that_has_gone_is_no_error(folder):
+    done = shell("$T quality better.vtu | true; exit ${PIPESTATUS[0]}", folder)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+@pytest.mark.parametrize("command", ["quality better.vtu", "quality better.vtu --json", "--help"])
+def test_a_full_disk_under_standard_output_is_one_clear_line(folder, command):
+    done = shell(f"$T {command} > /dev/full", folder)
+    expected = "error: standard output cannot be written: No space left on device\n"
+    assert (done.returncode, done.stderr) == (2, expected)
+
+
+@posix
+def test_names_that_are_not_utf8(call, folder):
+    name = os.fsdecode(b"x\xff.vtu")
+    shutil.copy(folder / "tangled.vtu", folder / name)
+    assert call("improve", name, "out.vtu", "--plot", "p.png", "--report", "r.json").status == 0
+    assert json.loads((folder / "r.json").read_text())["input"] == name
+    assert call("report", name, "out.vtu", "page.html", "--no-stages").status == 0
+    assert r"x\xff.vtu: before and after" in (folder / "page.html").read_text(encoding="utf-8")
+    done = shell("$T quality x?.vtu y*.vtu --worst 0", folder)
+    assert done.returncode == 2
+    assert "udcff.vtu" in done.stdout
+    assert done.stderr.count("\n") == 1

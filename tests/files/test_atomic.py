@@ -1,11 +1,12 @@
 """Files are replaced whole or not at all."""
 
+import errno
 import os
 
 import pytest
 
 from torchmesh.errors import MeshIOError
-from torchmesh.files.atomic import check_target, replacing
+from torchmesh.files.atomic import check_target, full_disk_named, replacing
 
 
 def test_paths_that_cannot_be_written_to(tmp_path, monkeypatch):
@@ -74,3 +75,22 @@ def test_only_regular_files_are_replaced(tmp_path):
         check_target(tmp_path / "pipe")
     with pytest.raises(MeshIOError, match="is not a regular file"), replacing(tmp_path / "pipe"):
         pytest.fail("the block was entered")
+
+
+@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), RuntimeError("NetCDF: HDF error")])
+def test_a_full_disk_is_named_whatever_a_library_says(tmp_path, monkeypatch, error):
+    class Full:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def write(self, _):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(type(error)), full_disk_named(tmp_path):  # there is space: the error is what it says
+        raise error
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda dir: Full())
+    with pytest.raises(OSError, match="No space left on device"), full_disk_named(tmp_path):
+        raise error

@@ -252,7 +252,7 @@ from torchmesh.errors import MeshIOError
 from torchmesh.files.mesh_files import write
 mesh = MeshBatch.from_arrays({grid_arrays()[0].tolist()}, {grid_arrays()[1].tolist()})
 resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))
-for suffix in ("vtu", "vtk", "msh", "su2", "obj", "xdmf", "stl", "med", "off", "ply"):
+for suffix in ("e", "vtu", "vtk", "msh", "su2", "obj", "xdmf", "stl", "med", "off", "ply"):
     try:
         write({str(tmp_path)!r} + "/a." + suffix, mesh)
         sys.exit(suffix + ": no error")

@@ -10,6 +10,7 @@ The result for a mesh does not depend on the batch that it is in.
 
 import contextlib
 import hashlib
+import itertools
 import os
 import shutil
 import socket
@@ -21,7 +22,7 @@ from pathlib import Path
 
 import torch
 
-from ..errors import MeshError, MeshWarning
+from ..errors import MeshError, MeshIOError, MeshWarning
 from ..files.time_series import Series, read_series
 from ..improving.options import ImproveOptions
 from ..mesh.batch import MeshBatch
@@ -38,7 +39,7 @@ class Job:
     name     its path below the folder of results, with / between the parts
     file     the input, as it was given
     output   the file to write, below the folder of results as that was given
-    staging  a folder in the same file system as `output`, where the file is written first
+    staging  a folder in the folder of results, where the file is written first
     size     bytes of the input, by which work is shared out; 0 where the size is not known
     """
 
@@ -146,7 +147,7 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     staged = str(folder / target.name)
     try:
         with _recorded_warnings() as said:
-            _write_staged(improved, target, folder)
+            _write_staged(improved, target, folder, Path(job.staging).parent)
         facts["output_bytes"] = target.stat().st_size
     except Exception as error:
         shutil.rmtree(folder, ignore_errors=True)
@@ -163,14 +164,27 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     )
 
 
-def _write_staged(improved: ImprovedFile, target: Path, folder: Path) -> None:
-    """Writes the file into `folder` and moves what was made, which may be several files, to the folder of `target`."""
+def _write_staged(improved: ImprovedFile, target: Path, folder: Path, out: Path) -> None:
+    """Writes the file into `folder` and moves what was made, which may be several files, to the folder of `target`.
+
+    Raises MeshIOError where a link between `out` and the target leads elsewhere.  A link at the target itself is
+    replaced, and what it leads to is left alone.
+    """
     shutil.rmtree(folder, ignore_errors=True)  # a killed process with this number may have left a part of a file
+    _refuse_ways_out(target, out)
     target.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
     improved.write(folder / target.name)
     for made in sorted(folder.iterdir()):
         os.replace(made, target.parent / made.name)
+
+
+def _refuse_ways_out(target: Path, out: Path) -> None:
+    for folder in itertools.takewhile(lambda above: above != out, target.parents):
+        if out in folder.parents and folder.is_symlink():
+            raise MeshIOError(
+                f"{folder}: is a symbolic link in the folder of results, which is not followed; remove it"
+            )
 
 
 def _quality_facts(stage: str, q: Quality, meshes: list[MeshBatch], rows: slice) -> dict:

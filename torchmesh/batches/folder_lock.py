@@ -16,12 +16,15 @@ _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 @contextlib.contextmanager
-def locked_folder(out: Path) -> Iterator[None]:
+def locked_folder(out: Path, *names: str) -> Iterator[None]:
     """Inside, the folder exists and no other run writes to it; nothing of what a killed run was writing is left.
 
+    names  the files in the folder that the run itself will write
+
     The system gives up the lock of a process that ends, however it ends.  Raises MeshIOError if another run has the
-    lock or the folder cannot be written.
+    lock, if the folder cannot be written, or if a file of the run itself is a link, which would lead out of the folder.
     """
+    refuse_links(out, STAGING, f"{STAGING}.lock", *names)
     # Worker processes import this package too, and do not need it.
     from filelock import FileLock, Timeout
 
@@ -48,3 +51,10 @@ def locked_folder(out: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):  # on Windows an open file stays, and `release` removes it
             path.unlink()
         lock.release()
+
+
+def refuse_links(out: Path, *names: str) -> None:
+    """Raises MeshIOError if one of these files in the folder is a symbolic link: what it leads to is not ours."""
+    for name in names:
+        if (out / name).is_symlink():
+            raise MeshIOError(f"{out / name}: is a symbolic link, which a run does not follow; remove it")

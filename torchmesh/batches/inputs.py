@@ -1,8 +1,10 @@
 """Which files a run improves, and where the result of each goes."""
 
 import contextlib
+import fnmatch
 import glob
 import os
+from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -46,7 +48,7 @@ def _given_files(paths: Paths, out: Path) -> tuple[dict[str, str], str]:
     files: dict[str, str] = {}
     roots: list[str] = []
     for path in given:
-        root, found = _matches(os.fspath(path))
+        root, found = _matches(os.fspath(path), results)
         # The folder of results may lie among the inputs: what an earlier run wrote there is not an input.
         among = _below(results, os.path.abspath(root))
         inputs = [file for file in found if not (among and _below(os.path.abspath(file), results))]
@@ -63,20 +65,93 @@ def _given_files(paths: Paths, out: Path) -> tuple[dict[str, str], str]:
         raise MeshIOError(f"the files lie on different drives: {', '.join(sorted(set(roots)))}") from None
 
 
-def _matches(path: str) -> tuple[str, list[str]]:
-    """The folder that a path or pattern begins at, and the files that it names."""
+def _matches(path: str, results: str) -> tuple[str, list[str]]:
+    """The folder that a path or pattern begins at, and the files that it names.
+
+    results  the folder of results, whose content is no input
+    """
     if os.path.isfile(path):
         return os.path.dirname(path), [path]
     if os.path.isdir(path):
         known = known_extensions()
-        found = glob.glob(os.path.join(glob.escape(path), "**", "*"), recursive=True)
+        found = [os.path.join(path, file) for file in files_below(path, results)]
         return path, [f for f in found if os.path.splitext(f)[1].lower() in known and os.path.isfile(f)]
     if not glob.has_magic(path):
         return os.path.dirname(path), []
     root = path
     while glob.has_magic(root):
         root = os.path.dirname(root)
-    return root, [f for f in glob.glob(path, recursive=True) if os.path.isfile(f)]
+    parts = path.split(os.sep)
+    if "**" not in parts:
+        return root, [f for f in glob.glob(path) if os.path.isfile(f)]
+    first = parts.index("**")
+    before, pattern = os.sep.join([*parts[:first], ""]), parts[first:]
+    pattern += ["*"] if pattern[-1] == "**" else []
+    folders = glob.glob(before) if glob.has_magic(before) else [before]
+    found = [
+        os.path.join(folder, file)
+        for folder in folders
+        if os.path.isdir(folder or os.curdir)
+        for file in files_below(folder, results)
+        if _fits(file.split(os.sep), pattern)
+    ]
+    return root, [f for f in found if os.path.isfile(f)]
+
+
+def files_below(folder: str, results: str = "") -> list[str]:
+    """The paths, from `folder` on, of all files in it and in the folders below it, each folder once.
+
+    results  a folder that is left out
+
+    A symbolic link to a folder is followed only if that is not above the link and not visited without the link: links
+    that lead back would otherwise make the search endless.  Folders and files whose names begin with a dot are hidden.
+    """
+    found: list[str] = []
+    links: deque[str] = deque()
+    # A folder is known by its device and its number, which all paths to it share.
+    visited = {_identity(results)} if results else set()
+    visited.discard(_identity(folder or os.curdir))
+
+    def walk(start: str) -> None:
+        for at, folders, files in os.walk(os.path.join(folder, start) or os.curdir):
+            # What is yielded for one folder stands before what is below it, and the list of folders steers the walk.
+            if (identity := _identity(at)) in visited:
+                folders.clear()
+                continue
+            visited.add(identity)
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            below = os.path.relpath(at, folder or os.curdir)
+            names = [os.path.normpath(os.path.join(below, name)) for name in folders]
+            links.extend(name for name in names if os.path.islink(os.path.join(folder, name)))
+            found.extend(os.path.normpath(os.path.join(below, name)) for name in files if not name.startswith("."))
+
+    walk("")
+    while links:
+        link = links.popleft()
+        path = os.path.join(folder, link)
+        target = os.path.realpath(path)
+        above = _below(os.path.join(os.path.realpath(os.path.dirname(path) or os.curdir), ""), target)
+        if not above and _identity(target) not in visited:
+            walk(link)
+    return found
+
+
+def _identity(folder: str) -> tuple[int, int]:
+    """What the paths of one folder share; a folder that is not there has none."""
+    try:
+        state = os.stat(folder)
+    except OSError:
+        return -1, -1
+    return state.st_dev, state.st_ino
+
+
+def _fits(parts: list[str], pattern: list[str]) -> bool:
+    """Whether the parts of a path match a pattern in which ** stands for any number of folders."""
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return _fits(parts, pattern[1:]) or (bool(parts) and _fits(parts[1:], pattern))
+    return bool(parts) and fnmatch.fnmatch(parts[0], pattern[0]) and _fits(parts[1:], pattern[1:])
 
 
 def _below(path: str, folder: str) -> bool:

@@ -3,6 +3,9 @@
 `manifest.jsonl` gets a line, in one write, as soon as a file is done.  A run that is killed loses no more than a part
 of the last line.  When several lines are about one file, the last one counts.  `manifest.parquet` holds the same table
 and is written when a run ends.
+
+Names of files that are not UTF-8, which Linux allows, stand in `manifest.jsonl` as Python has them, a byte 0xFF as the
+escape \\udcff, so that the names lead to the files; Parquet has no such text and gets \\xff.
 """
 
 import dataclasses
@@ -17,6 +20,7 @@ from typing import Any
 
 from ..errors import MeshIOError, MissingDependencyError
 from ..files.atomic import replacing
+from ..files.messages import printable
 
 LINES, TABLE = "manifest.jsonl", "manifest.parquet"
 
@@ -176,7 +180,8 @@ def write_table(folder: Path, results: Iterable[FileResult] | None = None) -> Pa
     kinds |= dict.fromkeys(_WHOLE, pa.int64()) | dict.fromkeys(_REAL, pa.float64())
     names = [f.name for f in dataclasses.fields(FileResult) if f.name != "resumed"]
     schema = pa.schema([(name, kinds.get(name, pa.string())) for name in names])
-    table = pa.Table.from_pylist(sorted(rows, key=lambda row: row["name"]), schema=schema)
+    rows = [{key: printable(value) for key, value in row.items()} for row in sorted(rows, key=lambda row: row["name"])]
+    table = pa.Table.from_pylist(rows, schema=schema)
     with replacing(folder / TABLE) as path:
         pq.write_table(table, path)
     return folder / TABLE

@@ -14,6 +14,7 @@ import dataclasses
 import hashlib
 import os
 import pickle
+import stat
 import warnings
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
@@ -124,7 +125,7 @@ class Run:
 
     def results(self) -> Iterator[FileResult]:
         """The kept results, then the others as they are made; each is in the manifest before it is given."""
-        with locked_folder(self.out):
+        with locked_folder(self.out, manifest.LINES, manifest.TABLE):
             with manifest.Journal(self.out) as journal:
                 yield from self.kept
                 if self.jobs:
@@ -215,7 +216,8 @@ def _stale(job: Job, result: FileResult, label: str) -> str:
     except OSError:
         return "the input has changed"
     try:
-        same = os.stat(job.output).st_size == result.output_bytes
+        state = os.lstat(job.output)  # a link is none of our results
+        same = stat.S_ISREG(state.st_mode) and state.st_size == result.output_bytes
     except OSError:
         same = False
     return "" if same else "the result is gone or has changed"

@@ -7,6 +7,7 @@ import contextlib
 import functools
 import json
 import math
+import os
 import sys
 import time
 import warnings
@@ -28,24 +29,50 @@ _LOG_INTERVAL = 10.0
 _FILE_WIDTH = 140
 
 
+def open_streams() -> None:
+    """Gives the process a standard input, output and error where it was started without them, as daemons are.
+
+    What is written to them is lost.  A file that the program opens could otherwise get the number of a stream, and
+    what some library prints would end in it.  Names of files that are not UTF-8 are printed with escapes.
+    """
+    while True:
+        opened = os.open(os.devnull, os.O_RDWR)
+        if opened > 2:
+            os.close(opened)
+            break
+    for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
+    for stream in (sys.stdout, sys.stderr):
+        if getattr(stream, "errors", "") in ("strict", "surrogateescape") and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
 @functools.cache
 def stdout() -> "Console":
     """The console that tables are printed on."""
-    from rich.console import Console
-
-    return Console(width=None if sys.stdout.isatty() else _FILE_WIDTH, highlight=False)
+    return _console(width=None if sys.stdout.isatty() else _FILE_WIDTH)
 
 
 @functools.cache
 def _stderr() -> "Console":
+    return _console(stderr=True)
+
+
+def _console(**options: Any) -> "Console":
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False)
+    class Plain(Console):
+        def on_broken_pipe(self) -> None:
+            raise  # rich would end the process with status 1, which means inverted triangles
+
+    return Plain(highlight=False, **options)
 
 
 def say(text: str) -> None:
-    """Prints one line on standard error."""
-    _stderr().print(" ".join(text.split()), markup=False, soft_wrap=True)
+    """Prints one line on standard error, if anybody reads that."""
+    with contextlib.suppress(OSError):
+        _stderr().print(" ".join(text.split()), markup=False, soft_wrap=True)
 
 
 @contextlib.contextmanager

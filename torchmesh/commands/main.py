@@ -2,15 +2,16 @@
 
 Tables go to standard output; progress, warnings and errors go to standard error.
 Exit status 0: every mesh valid; 1: some mesh has inverted triangles; 2: bad input or usage, told in one line that
-begins with `error:`; 130: interrupted.  A command that fails leaves no file behind.
-
-A process that was started with SIGINT ignored goes on ignoring it, as is the custom: a shell starts jobs in the
-background of a script that way, so that an interrupt meant for another program does not end them.  SIGTERM ends it.
+begins with `error:`; 130: interrupted; 141: nobody reads standard output any more.  A command that fails leaves no
+file behind.  SIGTERM ends it.  `torchmesh.__main__` handles interrupts and calls `main`.
 
 Whatever takes long to import is imported inside the functions of the commands, so that `--help` answers at once.
 """
 
+import contextlib
+import errno
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from typing import Annotated
@@ -20,7 +21,10 @@ import typer
 from . import animate, batch, console, generate, improve, quality, report, reproduce, warp
 from .errors import ClickException
 
-INTERRUPTED = 130
+INTERRUPTED, UNREAD = 130, 141
+
+# What the system says where a stream takes no more.  Errors about files have the name of the file; streams have none.
+_STREAM_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 app = typer.Typer(
     name="torchmesh",
@@ -37,15 +41,22 @@ app = typer.Typer(
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    console.open_streams()
     try:
         with console.warnings_as_lines():
             status = app(arguments or ["--help"], prog_name="torchmesh", standalone_mode=False)
         if status == INTERRUPTED:
             raise KeyboardInterrupt
+        sys.stdout.flush()
         return (status or 0) if arguments else 2
     except (KeyboardInterrupt, typer.Abort):
         console.say("interrupted")
         return INTERRUPTED
+    except SystemExit as error:
+        if not isinstance(error.__context__, BrokenPipeError):
+            raise
+        _give_up_stdout()
+        return UNREAD  # click would end with status 1, which means inverted triangles
     except ClickException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context else ""
@@ -57,8 +68,20 @@ def main(arguments: list[str] | None = None) -> int:
 
         if not isinstance(error, MeshError | OSError):
             raise
+        if isinstance(error, OSError) and error.errno in _STREAM_ERRORS and error.filename is None:
+            _give_up_stdout()
+            if error.errno == errno.EPIPE:
+                return UNREAD
+            console.say(f"error: standard output cannot be written: {error.strerror}")
+            return 2
         console.say(f"error: {error}")
     return 2
+
+
+def _give_up_stdout() -> None:
+    """Lets what standard output has not taken vanish, so that Python does not try again when it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,6 +1,7 @@
 """Write a file whole or not at all."""
 
 import contextlib
+import errno
 import os
 import shutil
 import tempfile
@@ -62,6 +63,39 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def full_disk_named(folder: Path) -> Iterator[None]:
+    """Inside, a library writes to the folder.  Where it fails because nothing more can be written, this is raised.
+
+    Libraries such as netCDF say "HDF error" or "Permission denied" when a disk is full.  Raises OSError.
+    """
+    try:
+        yield
+    except (MeshIOError, FileNotFoundError):
+        raise
+    except Exception as error:
+        if not (isinstance(error, OSError) and error.errno in _FULL):
+            _probe(folder)
+        raise
+
+
+# What the system says when a disk, a user's share of it, or a file must not grow.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+# Bytes that are written to find out whether a disk is full: more than what is left in the last block of a file.
+_PROBE = 1 << 16
+
+
+def _probe(folder: Path) -> None:
+    """Raises OSError if some bytes more cannot be written to the folder because it is full."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as stream:
+            stream.write(bytes(_PROBE))
+    except OSError as error:
+        if error.errno in _FULL:
+            raise
 
 
 def _reason(error: OSError) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 import meshio
 
 from ..errors import MeshError, MeshIOError
-from .atomic import real_target, replacing
+from .atomic import full_disk_named, real_target, replacing
 from .formats.format import Document
 from .formats.registry import format_in, format_of
 from .messages import translated, warn
@@ -43,5 +43,5 @@ def save(path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) 
     fitted, lost = form.fit(mesh)
     if lost:
         warn(f"{path}: {form.name} files do not hold {', '.join(sorted(lost))}; dropped")
-    with translated(path, "write", form.name), replacing(path) as made:
+    with translated(path, "write", form.name), replacing(path) as made, full_disk_named(made.parent):
         form.write(made, fitted, like if like is not None and like.format == form.name else None, same_rows)

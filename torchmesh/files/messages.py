@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,21 @@ def warn(text: str) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith((_PACKAGE, contextlib.__file__)):
         level, frame = level + 1, frame.f_back
     warnings.warn(MeshWarning(text), stacklevel=level)
+
+
+def printable(value: Any) -> Any:
+    """The text with escapes for what UTF-8 does not have, in lists too; anything else as it is.
+
+    Names of files may be any bytes on Linux.  Python's text has surrogates for those bytes that are not UTF-8.
+    """
+    if isinstance(value, list):
+        return [printable(item) for item in value]
+    if not isinstance(value, str):
+        return value
+    try:
+        return value.encode(errors="surrogateescape").decode(errors="backslashreplace")
+    except UnicodeEncodeError:  # surrogates that stand for no bytes
+        return value.encode(errors="backslashreplace").decode()
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ import contextlib
 import itertools
 import multiprocessing
 import pickle
+import signal
 import sys
 import threading
 import warnings
@@ -152,7 +153,7 @@ def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Itera
     """task(0), ..., task(count - 1) in order, computed in `workers` forks of this process.
 
     An exception of the task is raised here.  What a worker that dies has not finished is computed
-    in this process, with a MeshWarning.
+    in this process, with a MeshWarning.  An interrupt kills the workers.
     """
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
@@ -161,7 +162,7 @@ def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Itera
     _task = task
     try:
         context = multiprocessing.get_context("fork")
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare) as pool:
             with warnings.catch_warnings():
                 # torch's idle threads are there at the fork; the workers use none.
                 warnings.simplefilter("ignore", DeprecationWarning)
@@ -175,10 +176,22 @@ def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Itera
                         warnings.warn(MeshWarning(message), stacklevel=2)
                         result = task(i)
                     yield result
+            except (KeyboardInterrupt, GeneratorExit):
+                # Nobody waits for their results any more.
+                for process in list((pool._processes or {}).values()):
+                    process.kill()
+                raise
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
     finally:
         _task = None
+
+
+def _prepare() -> None:
+    """What a worker does first.  An interrupt from the terminal reaches it too, and ends it without a word."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    torch.set_num_threads(1)
 
 
 # What the forks find to do.

@@ -22,6 +22,7 @@ import numpy as np
 
 from ..errors import InvalidMeshError
 from ..files.atomic import replacing
+from ..files.messages import printable
 from ..improving.report import Report
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
@@ -68,9 +69,9 @@ def report_page(
     names = ("before", "after") if len(stages) > 1 else ("mesh", "mesh")
     summary = [_summary(names, stages, measured), *([_outcome(report)] if report else []), *([note] if note else [])]
     text = Template(_asset("page.html")).substitute(
-        title=escape(title or path.stem),
+        title=escape(printable(title or path.stem)),
         style=palette.css() + _asset("page.css"),
-        summary=escape(" ".join(summary)),
+        summary=escape(printable(" ".join(summary))),
         ticks=_ticks(),
         numbers=numbers_table(names, stages, measured),
         histograms=_histograms(stages, measured),

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..files.atomic import replacing
+from ..files.messages import printable
 from . import palette
 from .regions import Box
 
@@ -55,7 +56,9 @@ class Sheet:
         )
         self.figure = Figure(figsize=self.size, dpi=_DOTS_PER_INCH, facecolor="white")
         if title:
-            self.figure.text(0.5, 1 - 0.35 / self.size[1], title, ha="center", va="center", fontsize=13, weight="bold")
+            style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 13, "weight": "bold"}
+            # The name of a file may have $ in it, and may be no text at all.
+            self.figure.text(0.5, 1 - 0.35 / self.size[1], printable(title), parse_math=False, **style)
 
     def axes(self, row: int, column: int) -> Any:
         """The axes of one panel; the row after the last one holds the histograms."""
