@@ -1,7 +1,7 @@
 """The one mesh type: a batch of planar triangle meshes as a disjoint union of rows.
 
-A mesh is two arrays, points and triangles; a batch is many of them laid end to end, with offsets
-that say which rows belong to whom.  A single mesh is a batch of one.
+A mesh is two arrays, points and triangles.  A batch holds many meshes, one after the other, with offsets that say
+which rows belong to which mesh.  A single mesh is a batch of one.
 """
 
 import dataclasses
@@ -22,18 +22,18 @@ from .validation import checked_constraints, checked_fixed, checked_points, chec
 
 @dataclass(frozen=True, eq=False)
 class MeshBatch:
-    """B planar triangle meshes, each owning a contiguous run of rows.
+    """B planar triangle meshes, each of which owns a contiguous run of rows.
 
-    points             (V, 2) float64 or float32, any one length unit
-    triangles          (T, 3) int64 rows of points, counter-clockwise unless inverted
-    fixed              (V,) bool, vertices nothing may move
-    constrained_edges  (K, 2) int64, interior edges no flip may remove
-    point_offsets      (B+1,) int64, mesh b owns points[point_offsets[b]:point_offsets[b + 1]]
-    triangle_offsets   (B+1,) int64, likewise for triangles
-    frames             (B, 3, 3) float64, each mesh's plane in space: origin, x axis, y axis
+    points             (V, 2) float64 or float32, in any one length unit
+    triangles          (T, 3) int64, rows of points; counter-clockwise unless the triangle is inverted
+    fixed              (V,) bool, the vertices that nothing may move
+    constrained_edges  (K, 2) int64, interior edges that no flip may remove
+    point_offsets      (B+1,) int64; mesh b owns points[point_offsets[b]:point_offsets[b + 1]]
+    triangle_offsets   (B+1,) int64, the same for triangles
+    frames             (B, 3, 3) float64, the plane of each mesh in space: origin, x axis, y axis
 
-    Make one with `from_arrays`, which checks; the constructor itself does not.  The half-edge twins are computed when
-    `twin` is first asked for, and travel with the mesh from then on.
+    Use `from_arrays` to make one: it checks its arguments, and the constructor does not.  The half-edge twins are
+    computed when `twin` is first read, and are kept with the mesh from then on.
     """
 
     points: Tensor
@@ -43,7 +43,7 @@ class MeshBatch:
     point_offsets: Tensor
     triangle_offsets: Tensor
     frames: Tensor
-    # The triangles for which twins are known, and these twins: replacing the triangles makes them unknown.
+    # The triangles whose twins are known, and these twins.  A mesh with other triangles does not know its twins.
     _twin: tuple[Tensor, Tensor] | None = field(default=None, repr=False)
 
     @classmethod
@@ -51,13 +51,14 @@ class MeshBatch:
         """One mesh (B = 1) from numpy arrays, torch tensors or nested lists.
 
         points             (V, 2), or (V, 3) in any one plane of space
-        triangles          (T, 3) integers, rows of points; wholly clockwise or mixed winding is
-                           repaired by walking from neighbour to neighbour, with a `MeshWarning`
-        fixed              (V,) bool; None: the boundary.  Boundary vertices, ends of constrained
-                           edges and unused vertices are fixed in any case
-        constrained_edges  (K, 2) integers, edges of the mesh that must survive every flip
+        triangles          (T, 3) integers, rows of points.  Triangles that all run clockwise, or in different
+                           directions, are turned round by walking from neighbour to neighbour, with a
+                           `MeshWarning`
+        fixed              (V,) bool; None means the boundary.  Boundary vertices, ends of constrained edges and
+                           unused vertices are fixed in any case
+        constrained_edges  (K, 2) integers, edges of the mesh that no flip may remove
 
-        Raises InvalidMeshError, naming the row, for anything that is not a planar triangle mesh.
+        Raises InvalidMeshError, which names the row, for anything that is not a planar triangle mesh.
         """
         xyz = checked_points(points)
         faces = checked_triangles(triangles, len(xyz)).to(xyz.device)
@@ -86,7 +87,7 @@ class MeshBatch:
 
     @property
     def twin(self) -> Tensor:
-        """(3T,) int64 twin of each half-edge, -1 on the boundary, as `connectivity.twins` numbers them."""
+        """(3T,) int64 the twin of each half-edge, -1 on the boundary; numbered as in `connectivity.twins`."""
         known = self.known_twin
         if known is None:
             known = connectivity.twins(self.triangles)
@@ -95,11 +96,11 @@ class MeshBatch:
 
     @property
     def known_twin(self) -> Tensor | None:
-        """The twins if they have been computed; None: nobody has asked for them yet."""
+        """The twins if they have been computed already; None otherwise."""
         return None if self._twin is None or self._twin[0] is not self.triangles else self._twin[1]
 
     def __getstate__(self) -> dict[str, Any]:
-        # Twins are sooner computed than sent to another process.
+        # Another process computes the twins faster than it would receive them.
         return self.__dict__ | {"_twin": None}
 
     def __len__(self) -> int:
@@ -120,9 +121,9 @@ class MeshBatch:
         return dataclasses.replace(self, points=points.to(self.points))
 
     def with_triangles(self, triangles: Tensor, twin: Tensor | None = None) -> "MeshBatch":
-        """The same vertices joined otherwise: (T, 3), each mesh keeping its number of triangles.
+        """The same vertices with other `triangles` (T, 3), of which each mesh has as many as before.
 
-        twin  (3T,) the twins of these triangles, if the caller has them
+        twin  (3T,) the twins of these triangles, if the caller knows them
         """
         if triangles.shape != self.triangles.shape:
             raise InvalidMeshError(
@@ -131,13 +132,16 @@ class MeshBatch:
         return dataclasses.replace(self, triangles=triangles, _twin=None if twin is None else (triangles, twin))
 
     def to(self, *args: Any, **kwargs: Any) -> "MeshBatch":
-        """As `torch.Tensor.to`: a dtype converts the points, a device moves every tensor."""
+        """The batch in another dtype or on another device, with arguments as in `torch.Tensor.to`.
+
+        A dtype converts the points only; a device moves every tensor.
+        """
         points = self.points.to(*args, **kwargs)
         columns = (f.name for f in dataclasses.fields(self) if f.name not in ("points", "_twin"))
         return MeshBatch(points, **{name: getattr(self, name).to(points.device) for name in columns})
 
     def split(self) -> list["MeshBatch"]:
-        """The B meshes, each a batch of one."""
+        """The B meshes, each as a batch of one."""
         vertex, face = self.point_offsets.tolist(), self.triangle_offsets.tolist()
         owner, twin = constraint_owner(self), self.known_twin
         meshes = []
@@ -188,9 +192,9 @@ class MeshBatch:
 
 
 def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
-    """One batch of all the meshes of all the batches given, in order.
+    """One batch of all the meshes of the given batches, in order.
 
-    Raises InvalidMeshError when there are none, or when their dtypes or devices differ.
+    Raises InvalidMeshError when no batch is given, or when dtypes or devices differ.
     """
     if not meshes:
         raise InvalidMeshError("join needs at least one mesh")
@@ -215,13 +219,13 @@ def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
 
 
 def _joined_twins(meshes: Sequence[MeshBatch]) -> Tensor:
-    """The twins of the joined batch from those of its parts."""
+    """(3T,) the twins of the joined batch, made of those of its parts."""
     starts = itertools.accumulate((3 * len(m.triangles) for m in meshes), initial=0)
     return torch.cat([_shifted(m.twin, start) for m, start in zip(meshes, starts, strict=False)])
 
 
 def _shifted(twin: Tensor, by: Tensor | int) -> Tensor:
-    """Twins whose half-edges are renumbered; the boundary's -1 stays."""
+    """`twin` with `by` added to every half-edge; the -1 of the boundary stays."""
     return torch.where(twin < 0, -1, twin + by)
 
 
@@ -262,7 +266,7 @@ def _put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tens
 
 
 def lift(mesh: MeshBatch) -> Tensor:
-    """(V, 3) the points in space, back in the plane each mesh was given in."""
+    """(V, 3) the points in space, each in the plane in which its mesh was given."""
     frame = spread(mesh.frames, mesh.point_offsets).to(mesh.points.dtype)
     x, y = mesh.points[:, :1], mesh.points[:, 1:]
     return frame[:, 0] + x * frame[:, 1] + y * frame[:, 2]

@@ -1,7 +1,7 @@
-"""Formulae on one triangle, vectorised over rows: areas, lengths, shape.
+"""Formulae for one triangle, vectorised over rows: areas, edge lengths, angles and quality measures.
 
-Coordinates travel as six separate contiguous vectors: on a CPU that is several times faster than
-one (T, 3, 2) tensor.  Corner order is a, b, c; area is positive when it runs counter-clockwise.
+The coordinates are six separate contiguous vectors: on a CPU that is several times faster than one (T, 3, 2) tensor.
+The corners are a, b, c; the area is positive when they run counter-clockwise.
 """
 
 import math
@@ -33,7 +33,7 @@ def corners(points: Tensor, triangles: Tensor) -> Corners:
 
 
 def signed_area(t: Corners) -> Tensor:
-    """(T,) signed area, positive counter-clockwise."""
+    """(T,) the signed area, which is positive if the corners run counter-clockwise."""
     return 0.5 * ((t.bx - t.ax) * (t.cy - t.ay) - (t.by - t.ay) * (t.cx - t.ax))
 
 
@@ -47,11 +47,11 @@ def squared_edge_lengths(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def inverse_mean_ratio(t: Corners) -> Tensor:
-    """(T,) inverse mean ratio, 1 for an equilateral triangle, infinite for one of no area.
+    """(T,) the inverse mean ratio, which is 1 for an equilateral triangle and infinite for one without area.
 
-    Kim 2017 equation (4) with the equilateral W of equation (3), which is
-    (l_ab^2 + l_bc^2 + l_ca^2) / (4 sqrt(3) |area|) (Munson 2007).  An inverted triangle has the
-    value of its mirror image, as printed.
+    This is equation (4) of Kim 2017 with the equilateral W of equation (3), or
+    (l_ab^2 + l_bc^2 + l_ca^2) / (4 sqrt(3) |area|) (Munson 2007).  An inverted triangle has the value of its mirror
+    image, as in the paper.
     """
     ab, bc, ca = squared_edge_lengths(t)
     area = signed_area(t).abs()
@@ -59,10 +59,10 @@ def inverse_mean_ratio(t: Corners) -> Tensor:
 
 
 def mean_ratio(t: Corners) -> Tensor:
-    """(T,) signed mean ratio 4 sqrt(3) area / (l_ab^2 + l_bc^2 + l_ca^2), from -1 to 1.
+    """(T,) the signed mean ratio 4 sqrt(3) area / (l_ab^2 + l_bc^2 + l_ca^2), from -1 to 1.
 
-    1 for an equilateral triangle, 0 for a flat one, negative for an inverted one (Liu & Joe, BIT 34,
-    1994; Verdict's triangle shape, to which this gives a sign).  0 where the three corners are one point.
+    It is 1 for an equilateral triangle, 0 for a flat one, and negative for an inverted one (Liu & Joe, BIT 34, 1994;
+    Verdict's triangle shape with a sign).  It is 0 where the three corners coincide.
     """
     ab, bc, ca = squared_edge_lengths(t)
     total = ab + bc + ca
@@ -70,10 +70,10 @@ def mean_ratio(t: Corners) -> Tensor:
 
 
 def scaled_jacobian(t: Corners) -> Tensor:
-    """(T,) 2 / sqrt(3) times the signed sine of the smallest angle, from -1 to 1.
+    """(T,) the scaled Jacobian: 2 / sqrt(3) times the signed sine of the smallest angle, from -1 to 1.
 
-    det [b - a, c - a] over the product of the two longest edges (Verdict manual, triangles); 1 for
-    an equilateral triangle, 0 for a flat one, negative for an inverted one.
+    The sine is det [b - a, c - a] over the product of the two longest edges (Verdict manual, triangles).  The result
+    is 1 for an equilateral triangle, 0 for a flat one, and negative for an inverted one.
     """
     ab, bc, ca = edge_lengths(t)
     longest = torch.maximum(ab * bc, torch.maximum(bc * ca, ca * ab))
@@ -81,29 +81,29 @@ def scaled_jacobian(t: Corners) -> Tensor:
 
 
 def edge_lengths(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
-    """(T,) lengths of the edges ab, bc, ca; where one is 0 its gradient is 0."""
+    """(T,) the lengths of the edges ab, bc, ca; the gradient of a length of 0 is 0."""
     squares = squared_edge_lengths(t)
     return tuple(torch.where(s > 0, torch.where(s > 0, s, 1.0).sqrt(), 0.0) for s in squares)  # type: ignore[return-value]
 
 
 def aspect_ratio(t: Corners) -> Tensor:
-    """(T,) longest edge times perimeter over 4 sqrt(3) |area|, from 1 (Verdict manual, triangles)."""
+    """(T,) the longest edge times the perimeter over 4 sqrt(3) |area|, at least 1 (Verdict manual, triangles)."""
     ab, bc, ca = edge_lengths(t)
     return _over_area(torch.maximum(ab, torch.maximum(bc, ca)) * (ab + bc + ca) / (4 * SQRT3), t)
 
 
 def radius_ratio(t: Corners) -> Tensor:
-    """(T,) radius of the circle round the triangle over twice that of the circle in it, from 1.
+    """(T,) the radius of the circumcircle over twice that of the incircle, which is at least 1.
 
-    l_ab l_bc l_ca (l_ab + l_bc + l_ca) / (16 area^2) (Verdict manual, triangles).
+    It is l_ab l_bc l_ca (l_ab + l_bc + l_ca) / (16 area^2) (Verdict manual, triangles).
     """
     ab, bc, ca = edge_lengths(t)
-    # In two factors, since a fourth power of lengths would overflow.
+    # The product of two factors: a fourth power of lengths could overflow.
     return _over_area(ab * bc, t) * _over_area(ca * (ab + bc + ca), t) / 16
 
 
 def edge_ratio(t: Corners) -> Tensor:
-    """(T,) longest edge over shortest, from 1; infinite where two corners coincide (Verdict manual, triangles)."""
+    """(T,) the longest edge over the shortest, at least 1; infinite where two corners coincide (Verdict manual)."""
     ab, bc, ca = edge_lengths(t)
     shortest = torch.minimum(ab, torch.minimum(bc, ca))
     ratio = torch.maximum(ab, torch.maximum(bc, ca)) / torch.where(shortest > 0, shortest, 1.0)
@@ -111,31 +111,31 @@ def edge_ratio(t: Corners) -> Tensor:
 
 
 def _over_area(value: Tensor, t: Corners) -> Tensor:
-    """(T,) value / |area|, infinite for a flat triangle, whose gradient is then 0."""
+    """(T,) value / |area|; for a flat triangle it is infinite, and its gradient is 0."""
     area = signed_area(t).abs()
     return torch.where(area > 0, value / torch.where(area > 0, area, 1.0), torch.inf)
 
 
 def minimum_angle(t: Corners) -> Tensor:
-    """(T,) smallest unsigned angle in radians, from 0 for a flat triangle to pi / 3."""
+    """(T,) the smallest unsigned angle in radians, from 0 for a flat triangle to pi / 3."""
     a, b, c = angles(t)
     return torch.where(signed_area(t) == 0, 0.0, torch.minimum(a, torch.minimum(b, c)))
 
 
 def maximum_angle(t: Corners) -> Tensor:
-    """(T,) largest unsigned angle in radians, from pi / 3 to pi for a flat triangle."""
+    """(T,) the largest unsigned angle in radians, from pi / 3 to pi for a flat triangle."""
     a, b, c = angles(t)
     return torch.where(signed_area(t) == 0, math.pi, torch.maximum(a, torch.maximum(b, c)))
 
 
 def angle_at(px: Tensor, py: Tensor, qx: Tensor, qy: Tensor, rx: Tensor, ry: Tensor) -> Tensor:
-    """(T,) unsigned angle in radians at p between the rays to q and to r, in [0, pi]; 0 where a ray has no length."""
+    """(T,) the unsigned angle at p between the rays to q and to r, in [0, pi] radians; 0 where a ray has no length."""
     ux, uy, vx, vy = qx - px, qy - py, rx - px, ry - py
     return arctangent((ux * vy - uy * vx).abs(), ux * vx + uy * vy)
 
 
 def angles(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
-    """(T,) unsigned angles in radians at the corners a, b, c."""
+    """(T,) the unsigned angles at the corners a, b, c, in radians."""
     return (
         angle_at(t.ax, t.ay, t.bx, t.by, t.cx, t.cy),
         angle_at(t.bx, t.by, t.cx, t.cy, t.ax, t.ay),
@@ -143,15 +143,15 @@ def angles(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-# 1 - x / 3 + x^2 / 5 - ... up to here tells arctan(t) / t for t <= tan(pi / 16), x = t^2, to 1e-17.
+# So many terms of 1 - x / 3 + x^2 / 5 - ..., x = t^2, give arctan(t) / t to 1e-17 for t <= tan(pi / 16).
 _TERMS = 12
 
 
 def arctangent(y: Tensor, x: Tensor) -> Tensor:
     """(T,) atan2(y, x) for y >= 0, in [0, pi]; 0 at the origin.
 
-    The angle is halved until Taylor's series is short.  Plain arithmetic, so that a row's bits do
-    not depend on where in the tensor it stands, as those of `torch.atan2` do.
+    The angle is halved until a short part of its Taylor series is enough.  Everything is plain arithmetic: the bits
+    of `torch.atan2` depend on where in the tensor a row stands, and these do not.
     """
     size = torch.maximum(x.abs(), y)
     zero = size == 0

@@ -1,4 +1,4 @@
-"""Where the vertices of a remeshed batch come from: maps from old rows to new ones and back."""
+"""Which vertices of a remeshed batch come from which of the given batch: maps between old and new rows."""
 
 from dataclasses import dataclass, replace
 
@@ -6,20 +6,20 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
-from .batch import MeshBatch
+from .batch import MeshBatch, constraint_owner
 from .ragged import counts_from_offsets, offsets_from_counts, segment_ids, spread
 
 
 @dataclass(frozen=True, eq=False)
 class VertexMap:
-    """How the vertices of a mesh answer to those of the mesh it was made of.
+    """Which vertices of a mesh come from which vertices of the mesh that it was made of.
 
-    old_to_new  (V_old,) int64, the new row of each old vertex, -1 where it was removed
-    new_to_old  (V_new,) int64, the old row of each new vertex, -1 where it was inserted
-    rows, sources, weights  (N,) each: a field at new vertex rows[i] is the sum of weights[i] times the
-                field at old vertex sources[i]; ascending in rows.  A kept vertex has itself, an inserted
-                one the ends of the edge it halved (or theirs, where those were inserted too), with
-                weights that sum to 1
+    old_to_new  (V_old,) int64, the new row of each old vertex; -1 if it was removed
+    new_to_old  (V_new,) int64, the old row of each new vertex; -1 if it was inserted
+    rows, sources, weights  (N,) each, ascending in rows: a field at the new vertex rows[i] is the sum of weights[i]
+                times the field at the old vertex sources[i].  The only source of a kept vertex is itself.  The
+                sources of an inserted vertex are the ends of the edge that it halved, or the sources of these ends
+                if they were inserted too.  The weights of a vertex sum to 1
     """
 
     old_to_new: Tensor
@@ -49,10 +49,11 @@ class VertexMap:
         return maps
 
     def carry(self, field: Tensor) -> Tensor:
-        """(V_old, ...) values at the old vertices to (V_new, ...): floating ones interpolated, others copied.
+        """Values at the old vertices (V_old, ...) as values at the new ones (V_new, ...).
 
-        Copied from the source of most weight, the first of equals.  A vertex that was moved takes its
-        value along.  Raises InvalidMeshError for another number of rows.
+        Floating-point values are interpolated.  Others are copied from the source of most weight, and from the first
+        of several such.  A vertex that was moved takes its value along.  Raises InvalidMeshError for another number
+        of rows.
         """
         if len(field) != len(self.old_to_new):
             raise InvalidMeshError(f"a field over {len(self.old_to_new)} old vertices was asked for, not {len(field)}")
@@ -71,12 +72,12 @@ class VertexMap:
 
 @dataclass(frozen=True, eq=False)
 class Names:
-    """The names of vertices that come and go; the vertices at the beginning are named by their rows.
+    """Names of vertices, which stay the same while rows change; a vertex of the given mesh is named by its first row.
 
     of      (V,) int64, the name of each vertex
-    first   how many vertices there were at the beginning
-    fresh   the next name to give
-    births  (N, 3) int64 each: the name of an inserted vertex, and those of the two ends of the edge it halved
+    first   the number of vertices at the beginning
+    fresh   the next name that is free
+    births  tensors (N, 3) int64: the name of an inserted vertex, and the names of the ends of the edge that it halved
     """
 
     of: Tensor
@@ -86,25 +87,25 @@ class Names:
 
     @classmethod
     def of_rows(cls, vertices: int, device: torch.device) -> "Names":
-        """The names of so many vertices at the beginning."""
+        """The names at the beginning, when there are `vertices` vertices."""
         return cls(torch.arange(vertices, device=device), vertices, vertices)
 
     def select(self, rows: Tensor) -> "Names":
-        """The names of the vertices `rows`, (V,) bool or (N,) int64; the history stays whole."""
+        """The names of the vertices `rows`, (V,) bool or (N,) int64, with the whole history."""
         return replace(self, of=self.of[rows])
 
     def renamed(self, of: Tensor, fresh: int | None = None, births: tuple[Tensor, ...] | None = None) -> "Names":
-        """The names `of` other vertices, with the history of these unless another is given."""
+        """The names `of` other vertices, with the same history unless another is given."""
         return replace(
             self, of=of, fresh=self.fresh if fresh is None else fresh, births=self.births if births is None else births
         )
 
     def later(self, other: "Names") -> "Names":
-        """Of two that share their beginning, the one with the longer history."""
+        """These names or the `other` ones, whichever have the longer history; both must share their beginning."""
         return self if self.fresh >= other.fresh else other
 
     def vertex_map(self) -> VertexMap:
-        """The map from the vertices at the beginning to those of now."""
+        """The map from the vertices at the beginning to the present ones."""
         kept = self.of < self.first
         old_to_new = torch.full((self.first,), -1, device=self.of.device)
         rows = torch.arange(len(self.of), device=self.of.device)
@@ -121,29 +122,29 @@ class Names:
             rows = torch.cat([rows[~young], rows[young], rows[young]])
             weights = torch.cat([weights[~young], 0.5 * weights[young], 0.5 * weights[young]])
             sources = torch.cat([sources[~young], ends[:, 0], ends[:, 1]])
-            # One entry for each pair, in order; halves add up exactly, so their order does not matter.
-            pairs, place = torch.unique(rows * self.fresh + sources, return_inverse=True)
-            weights = weights.new_zeros(len(pairs)).index_add_(0, place, weights)
+            # Each pair gets one entry.  Sums of halves are exact, so the order of summation does not matter.
+            pairs, entry = torch.unique(rows * self.fresh + sources, return_inverse=True)
+            weights = weights.new_zeros(len(pairs)).index_add_(0, entry, weights)
             rows, sources = pairs // self.fresh, pairs % self.fresh
         return VertexMap(old_to_new, torch.where(kept, self.of, -1), rows, sources, weights)
 
 
 def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[Tensor, Tensor]]) -> tuple:
-    """`batch` with the meshes `at` (B,) bool replaced by those of `part`, of whatever size, and fields likewise.
+    """`batch` with the meshes `at` (B,) bool replaced by the meshes of `part`, which may have other sizes.
 
-    fields  pairs of (V, ...) over `batch` and over `part`
+    fields  pairs of a field (V, ...) over the vertices of `batch` and one over those of `part`
 
-    Returns the batch and one (V_new, ...) for each pair.
+    Returns the new batch, and for each pair of fields the field (V_new, ...) over it.
     """
-    vertex = _places(batch.point_offsets, at, part.point_offsets)
-    face = _places(batch.triangle_offsets, at, part.triangle_offsets)
+    vertex = _source_rows(batch.point_offsets, at, part.point_offsets)
+    face = _source_rows(batch.triangle_offsets, at, part.triangle_offsets)
     counts = _counts(batch.point_offsets, at, part.point_offsets)
     offsets = offsets_from_counts(counts)
     face_offsets = offsets_from_counts(_counts(batch.triangle_offsets, at, part.triangle_offsets))
     faces = torch.cat([_local(batch), _local(part)])[face] + spread(offsets[:-1], face_offsets)[:, None]
     edges, owners = [], []
     for mesh, rows in ((batch, torch.arange(len(batch), device=at.device)), (part, at.nonzero().squeeze(1))):
-        owner = torch.bucketize(mesh.constrained_edges[:, 0].contiguous(), mesh.point_offsets[1:], right=True)
+        owner = constraint_owner(mesh)
         stays = ~at[owner] if mesh is batch else torch.ones_like(owner, dtype=torch.bool)
         shift = offsets[rows[owner]] - mesh.point_offsets[owner]
         edges.append((mesh.constrained_edges + shift[:, None])[stays])
@@ -163,13 +164,14 @@ def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[T
 
 
 def _counts(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """(B,) the numbers of rows of the new batch, from the offsets of the old one and of `part`."""
     counts = counts_from_offsets(offsets).clone()
     counts[at] = counts_from_offsets(part)
     return counts
 
 
-def _places(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
-    """(N,) for the rows of the new batch, their place in the rows of the old one followed by those of `part`."""
+def _source_rows(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
+    """(N,) for each row of the new batch, its row in the rows of the old batch followed by the rows of `part`."""
     start = offsets[:-1].clone()
     start[at] = offsets[-1] + part[:-1]
     new = offsets_from_counts(_counts(offsets, at, part))
@@ -177,10 +179,11 @@ def _places(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:
 
 
 def _local(batch: MeshBatch) -> Tensor:
+    """(T, 3) the triangles, with vertices numbered within each mesh."""
     return batch.triangles - batch.point_offsets[segment_ids(batch.triangle_offsets)][:, None]
 
 
 def _local_twins(batch: MeshBatch) -> Tensor:
-    """(3T,) the twins, numbered within each mesh."""
+    """(3T,) the twins, with half-edges numbered within each mesh."""
     shift = 3 * spread(batch.triangle_offsets[:-1], 3 * batch.triangle_offsets)
     return torch.where(batch.twin < 0, -1, batch.twin - shift)

@@ -11,9 +11,9 @@ from ..mesh.triangle import Corners, signed_area
 
 
 def cotangent_weights(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
-    """(T,) half cotangents of the angles at a, b, c: minus the stiffness of the edges bc, ca, ab.
+    """(T,) half cotangents of the angles at a, b, c, which are minus the stiffness of the edges bc, ca, ab.
 
-    For the linear element K_ij = integral of grad phi_i . grad phi_j (any finite element text;
+    The stiffness of linear elements is K_ij = integral of grad phi_i . grad phi_j (any finite element text;
     Shontz & Vavasis, BIT 50, 2010).
     """
     ux, uy, vx, vy = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
@@ -34,18 +34,18 @@ def harmonic_extension(
     point_offsets: Tensor,
     source: Tensor | None = None,
 ) -> Tensor:
-    """Solve K_II x_I = f_I - K_IB x_B for the unknown rows; the known ones keep their values.
+    """Solve K_II x_I = f_I - K_IB x_B for the unknown rows I; the known rows B keep their values.
 
     triangles      (T, 3) int64
     weights        three (T,): the weight of the edges opposite the corners a, b, c
     known          (V,) bool
-    values         (V, k) the known rows count
-    point_offsets  (B+1,) the rows of each mesh, which is solved for itself
-    source         (V, k) the right-hand side f; None: zero
+    values         (V, k), of which only the known rows are read
+    point_offsets  (B+1,) the rows of each mesh
+    source         (V, k) the right-hand side f; None means zero
 
-    A sparse direct factorisation of each mesh (scipy: SuperLU, minimum-degree ordering).  One of
-    the whole batch would order its columns by all of it, and so round each mesh differently.
-    Raises RuntimeError where a mesh's matrix is singular.
+    Returns (V, k).  Each mesh has a sparse direct factorisation of its own (scipy: SuperLU, minimum-degree
+    ordering): one factorisation of the whole batch would order its columns by all the meshes, so that the
+    rounding of one mesh would depend on the others.  Raises RuntimeError where a mesh's matrix is singular.
     """
     from scipy.sparse import coo_matrix, csc_matrix, diags
     from scipy.sparse.linalg import splu
@@ -64,7 +64,8 @@ def harmonic_extension(
     if source is not None:
         right = right + source.to(torch.float64).cpu().numpy()[unknown]
     solution = given.copy()
-    # Slicing a sparse matrix costs its width, mesh by mesh: the blocks are cut out of its arrays instead.
+    # Slicing a sparse matrix takes time in proportion to its width, for every mesh.  The blocks are therefore cut
+    # out of its arrays.
     for first, last in itertools.pairwise(np.searchsorted(unknown, point_offsets.cpu().numpy()).tolist()):
         if first == last:
             continue
@@ -82,12 +83,15 @@ def harmonic_extension(
 
 @dataclass(frozen=True, eq=False)
 class InnerStiffness:
-    """The block K_II of the unknown vertices, (I, I), known by its products, and K_IB of their known neighbours.
+    """The block K_II of the stiffness of the unknown vertices, (I, I), and the block K_IB of their known neighbours.
 
-    size  I; unknown vertices are numbered in their order
-    total   (I,) the diagonal
-    inner   rows (N,), columns (N,) and weights (N,) of what lies beside it: minus its entries
-    outer   rows (M,), vertices (M,) and weights (M,): minus the entries of K_IB
+    The matrix is never assembled; it is known by its products with vectors.
+
+    size   I; the unknown vertices are numbered in their order
+    total  (I,) the diagonal of K_II
+    inner  rows (N,), columns (N,) and weights (N,) of the entries of K_II off the diagonal; weights are minus the
+           entries
+    outer  rows (M,), vertices (M,) and weights (M,) of the entries of K_IB; weights are minus the entries
     """
 
     size: int
@@ -99,12 +103,16 @@ class InnerStiffness:
     def of(
         cls, triangles: Tensor, twin: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor
     ) -> "InnerStiffness":
-        """Weights as in `harmonic_extension`; every vertex of an edge whose twin (3T,) is -1 must be known."""
+        """The stiffness of the vertices that are not `known` (V,) bool.
+
+        triangles, weights  as in `harmonic_extension`
+        twin                (3T,); both ends of an edge whose twin is -1 must be known
+        """
         at_a, at_b, at_c = weights
         weight = torch.stack([at_c, at_a, at_b], 1).reshape(-1)
         weight = weight + torch.where(twin >= 0, weight[twin], 0.0)
         row = (~known).cumsum(0) - 1
-        # Round an unknown vertex the triangles close: each neighbour is the head of one half-edge from it.
+        # The triangles at an unknown vertex close round it, so each neighbour is the head of one half-edge from it.
         tail, head = triangles.reshape(-1), triangles.roll(-1, 1).reshape(-1)
         out = (~known)[tail].nonzero().squeeze(1)
         tail, head, weight = row[tail[out]], head[out], weight[out]
@@ -120,15 +128,15 @@ class InnerStiffness:
         )
 
     def __matmul__(self, u: Tensor) -> Tensor:
-        """(I,) the product with u (I,)."""
+        """(I,) the product of K_II with u (I,)."""
         row, column, weight = self.inner
         return (self.total * u).index_add_(0, row, weight * u.index_select(0, column), alpha=-1)
 
     def diagonal(self) -> Tensor:
-        """(I,) the diagonal."""
+        """(I,) the diagonal of K_II."""
         return self.total
 
     def load(self, values: Tensor) -> Tensor:
-        """(I,) -K_IB x_B, of the known rows of values (V,)."""
+        """(I,) -K_IB x_B, where x_B are the known rows of `values` (V,)."""
         row, vertex, weight = self.outer
         return torch.zeros_like(self.total).index_add_(0, row, weight * values.index_select(0, vertex))

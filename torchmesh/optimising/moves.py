@@ -1,4 +1,4 @@
-"""What moving the vertices of a batch gives back."""
+"""The record that every minimisation over vertex positions returns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,12 +12,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MoveInfo:
-    """What a vertex-moving minimisation did, per mesh (B,).
+    """What a minimisation over vertex positions did, per mesh (B,).
 
-    energy and gradient (root mean square of the gradient per free coordinate, scaled by the local
-    edge length) at the end; steps accepted; energies evaluated; `Status` as int64.
-
-    curves  where the sliding vertices are now; None: no vertex may slide
+    energy       float64, the energy at the end
+    gradient     float64, the root mean square of the gradient over the free coordinates at the end, each entry scaled
+                 by the local edge length
+    iterations   int64, the steps that were accepted
+    evaluations  int64, how often the energy was evaluated
+    status       int64, a `Status`
+    curves       the boundary curves with the positions of the sliding vertices on them; None if no vertex may slide
     """
 
     energy: Tensor

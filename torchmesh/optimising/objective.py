@@ -1,11 +1,14 @@
-"""Meshes as the optimiser sees them: the free coordinates in blocks, the rest at the end.
+r"""Meshes as the optimiser sees them: one vector of the free coordinates, in blocks, and an energy on it.
 
-unknowns [ mesh 0: x blocks | y blocks ][ mesh 1: x blocks | y blocks ] ...   then the coordinates
-of the vertices that stay.  Only triangles with a free vertex are in it.
+    coordinates  [ mesh 0: x blocks | y blocks ][ mesh 1: x blocks | y blocks ] ... [ x | y of the vertices that stay ]
+                 \___________________________ unknowns _______________________/     \__________ anchored __________/
+
+Only triangles with a free vertex take part.
 """
 
 import functools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -30,22 +33,23 @@ from .jacobian import EdgeMap, Target, select_rows
 class Packing:
     """The free part of a batch as one vector.
 
-    Coordinates are counted from each mesh's centre in a power of two near its extent, so that no
-    constant anywhere depends on the user's unit or origin.  Or they are displacements in that unit, in
-    single precision: then `edges` says from where, and an edge keeps its digits however far from the
-    centre, though it takes half the memory.
+    Coordinates are measured from each mesh's centre, in a power of two near the mesh's extent.  So no constant
+    anywhere depends on the user's unit or origin.  Alternatively, they are displacements in that unit, in single
+    precision, and `edges` holds the edges before any displacement.  Displacements take half the memory, and an edge
+    keeps its digits however far from the centre it lies.
 
     unknowns          (N,) free coordinates, padded to whole blocks with zeros
     anchored          (F,) coordinates of the vertices that stay
-    rows              (6, T) int32, where ax ay bx by cx cy stand in unknowns followed by anchored
-    x_rows, y_rows    (M,) int64, where the free vertices' coordinates stand
+    rows              (6, T) int32, the rows of ax, ay, bx, by, cx, cy in `unknowns` followed by `anchored`
+    x_rows, y_rows    (M,) int64, the rows of the free vertices' coordinates in `unknowns`
     vertices          (M,) int64, the free vertices
-    triangles         (T,) int64, the triangles that a free vertex touches
+    triangles         (T,) int64, the triangles with a free corner
     block_offsets     (B+1,) int64
     triangle_offsets  (B+1,) int64 over `triangles`
     centre, unit      (B, 2) and (B,) float64, origin and length unit of each mesh's coordinates
     point_mesh        (M,) int64, the mesh of each free vertex
-    edges             (4, T) float32, x and y of b - a and of c - a undisplaced; None: coordinates are no displacements
+    edges             (4, T) float32, x and y of b - a and of c - a before any displacement; None if the coordinates
+                      are positions
     """
 
     unknowns: Tensor
@@ -63,20 +67,20 @@ class Packing:
     edges: Tensor | None = None
 
     def spread_vertices(self, values: Tensor) -> Tensor:
-        """(V,) one value a vertex to (N,) one an unknown, zero in the padding."""
+        """Values per vertex (V,) as values per unknown (N,), which are zero in the padding."""
         out = torch.zeros_like(self.unknowns)
         out[self.x_rows] = out[self.y_rows] = values[self.vertices].to(out)
         return out
 
     def unpack(self, unknowns: Tensor, points: Tensor) -> Tensor:
-        """(V, 2) a copy of `points` with the free vertices where `unknowns` has them."""
+        """(V, 2) a copy of `points` with the free vertices at the positions that `unknowns` (N,) gives them."""
         moved = points.clone()
         unit, centre = self.unit[self.point_mesh], self.centre[self.point_mesh]
         for axis, rows in enumerate((self.x_rows, self.y_rows)):
             now, before = unknowns.index_select(0, rows), points[self.vertices, axis]
             origin = centre[:, axis] if self.edges is None else before.to(unit)
             there = torch.addcmul(origin, now.to(unit), unit).to(points)
-            # What did not move keeps its bits, which centring and back may not.
+            # Centring and undoing it may change the last bits, so vertices that did not move keep theirs.
             still = now == self.unknowns.index_select(0, rows)
             moved[self.vertices, axis] = torch.where(still, before, there)
         return moved
@@ -91,62 +95,105 @@ def pack(
     displacements: bool = False,
     block: int = BLOCK,
 ) -> Packing:
-    """Pack the `free` (V,) bool vertices and the triangles that touch them; coordinates in float64, or displacements
-    in float32; in blocks of so many."""
-    device = points.device
+    """Pack the free vertices and the triangles with a free corner.
+
+    points         (V, 2)
+    triangles      (T, 3) int64
+    free           (V,) bool
+    displacements  whether the unknowns are displacements in float32, or positions in float64
+    block          numbers in a block
+    """
     centre, unit = centre_and_unit(points, point_offsets)
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
-    gather = torch.index_select
+    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
+    touched, kept, corner = _touched(triangles, free)
+    vertices = free.nonzero().squeeze(1)
+    layout = _Layout.of(segment_count(free, point_offsets), len(vertices), block)
+    anchors = _anchors(free, corner)
+    unknowns = points.new_zeros(layout.size)
+    unknowns[layout.x_rows] = torch.index_select(x, 0, vertices)
+    unknowns[layout.y_rows] = torch.index_select(y, 0, vertices)
+    anchored = torch.cat([torch.index_select(x, 0, anchors), torch.index_select(y, 0, anchors)])
+    edges = None
+    if displacements:
+        edges = _single_edges(x, y, corner)
+        unknowns, anchored = (torch.zeros_like(v, dtype=torch.float32) for v in (unknowns, anchored))
+    return Packing(
+        unknowns, anchored, layout.coordinate_rows(corner, vertices, anchors, len(points)), layout.x_rows,
+        layout.y_rows, vertices, kept, layout.block_offsets,
+        offsets_from_counts(segment_count(touched, triangle_offsets)), centre, unit,
+        segment_ids(layout.vertex_offsets), edges,
+    )  # fmt: skip
+
+
+def _touched(triangles: Tensor, free: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
+    """The triangles with a free corner, as a mask (T,) and as rows (K,), and their corners, three (K,)."""
     corner = [v.contiguous() for v in triangles.unbind(1)]
-    touched = gather(free, 0, corner[0]) | gather(free, 0, corner[1]) | gather(free, 0, corner[2])
+    a, b, c = (torch.index_select(free, 0, v) for v in corner)
+    touched = a | b | c
     kept = touched.nonzero().squeeze(1)
     if len(kept) < len(triangles):
-        corner = [gather(v, 0, kept) for v in corner]
-    vertices = free.nonzero().squeeze(1)
-    counts = segment_count(free, point_offsets)
-    blocks = (counts + block - 1) // block
-    block_offsets = offsets_from_counts(2 * blocks)
-    row_offsets = offsets_from_counts(counts)
-    x_rows = spread(block_offsets[:-1] * block - row_offsets[:-1], row_offsets) + torch.arange(
-        len(vertices), device=device
-    )
-    y_rows = x_rows + spread(blocks * block, row_offsets)
-    size = int(block_offsets[-1]) * block
-    x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
-    unknowns = points.new_zeros(size)
-    unknowns[x_rows] = gather(x, 0, vertices)
-    unknowns[y_rows] = gather(y, 0, vertices)
+        corner = [torch.index_select(v, 0, kept) for v in corner]
+    return touched, kept, corner
+
+
+def _anchors(free: Tensor, corner: list[Tensor]) -> Tensor:
+    """(A,) int64 the vertices among the corners that are not free."""
     needed = torch.zeros_like(free)
     for v in corner:
         needed.index_fill_(0, v, True)
     needed &= ~free
-    anchors = needed.nonzero().squeeze(1)
-    anchored = torch.cat([gather(x, 0, anchors), gather(y, 0, anchors)])
-    place_x = torch.zeros(len(points), dtype=torch.int32, device=device)
-    place_y = torch.zeros_like(place_x)
-    place_x[vertices], place_y[vertices] = x_rows.to(torch.int32), y_rows.to(torch.int32)
-    ordinal = torch.arange(len(anchors), dtype=torch.int32, device=device)
-    place_x[anchors], place_y[anchors] = size + ordinal, size + len(anchors) + ordinal
-    rows = torch.stack([gather(place, 0, v) for v in corner for place in (place_x, place_y)])
-    edges = None
-    if displacements:
-        (ax, ay), *ends = ((gather(x, 0, v), gather(y, 0, v)) for v in corner)
-        edges = torch.stack([e.to(torch.float32) for bx, by in ends for e in (bx - ax, by - ay)])
-        unknowns, anchored = (torch.zeros_like(v, dtype=torch.float32) for v in (unknowns, anchored))
-    return Packing(
-        unknowns, anchored, rows, x_rows, y_rows, vertices, kept, block_offsets,
-        offsets_from_counts(segment_count(touched, triangle_offsets)), centre, unit,
-        segment_ids(row_offsets), edges,
-    )  # fmt: skip
+    return needed.nonzero().squeeze(1)
+
+
+def _single_edges(x: Tensor, y: Tensor, corner: list[Tensor]) -> Tensor:
+    """(4, T) float32 x and y of the edges b - a and c - a, whose differences are taken in double precision."""
+    (ax, ay), *ends = ((torch.index_select(x, 0, v), torch.index_select(y, 0, v)) for v in corner)
+    return torch.stack([e.to(torch.float32) for bx, by in ends for e in (bx - ax, by - ay)])
+
+
+class _Layout(NamedTuple):
+    """The rows of the free vertices' coordinates in the vector of unknowns.
+
+    size            the length of that vector
+    x_rows, y_rows  (M,) int64
+    block_offsets   (B+1,) int64
+    vertex_offsets  (B+1,) int64 over the free vertices
+    """
+
+    size: int
+    x_rows: Tensor
+    y_rows: Tensor
+    block_offsets: Tensor
+    vertex_offsets: Tensor
+
+    @classmethod
+    def of(cls, counts: Tensor, total: int, block: int) -> "_Layout":
+        """The layout of meshes with `counts` (B,) free vertices each, `total` together."""
+        blocks = (counts + block - 1) // block
+        block_offsets, vertex_offsets = offsets_from_counts(2 * blocks), offsets_from_counts(counts)
+        shift = spread(block_offsets[:-1] * block - vertex_offsets[:-1], vertex_offsets)
+        x_rows = shift + torch.arange(total, device=counts.device)
+        y_rows = x_rows + spread(blocks * block, vertex_offsets)
+        return cls(int(block_offsets[-1]) * block, x_rows, y_rows, block_offsets, vertex_offsets)
+
+    def coordinate_rows(self, corner: list[Tensor], vertices: Tensor, anchors: Tensor, count: int) -> Tensor:
+        """(6, T) int32 the rows of the corners' coordinates: `vertices` are free, `anchors` follow the unknowns."""
+        row_x = torch.zeros(count, dtype=torch.int32, device=anchors.device)
+        row_y = torch.zeros_like(row_x)
+        row_x[vertices], row_y[vertices] = self.x_rows.to(torch.int32), self.y_rows.to(torch.int32)
+        ordinal = torch.arange(len(anchors), dtype=torch.int32, device=anchors.device)
+        row_x[anchors], row_y[anchors] = self.size + ordinal, self.size + len(anchors) + ordinal
+        return torch.stack([torch.index_select(row, 0, v) for v in corner for row in (row_x, row_y)])
 
 
 @dataclass(frozen=True, eq=False)
 class MeshObjective:
-    """The sum of an energy over each mesh's packed triangles, as an `lbfgs.Objective`.
+    """The sum of an energy over the packed triangles of each mesh; it is an `lbfgs.Objective`.
 
-    enough    a mesh is done as soon as each of its packed triangles has det > this; None: never
-    edges     of the packing
-    edge_map  through which the triangles are seen, of a metric field; None: as they are
+    enough    a mesh is done as soon as the determinants of all its packed triangles exceed this; None means never
+    edges     the edges of the packing, if its unknowns are displacements
+    edge_map  the map of a metric field through which the triangles are measured; None means the identity
     """
 
     energy: Energy
@@ -161,6 +208,7 @@ class MeshObjective:
     edge_map: EdgeMap | None = None
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """The energy of each mesh (B,), its gradient (N,), and which meshes are done (B,) bool or None."""
         coordinates = torch.cat([unknowns, self.anchored])
         phi, gradient, det = energy_and_forces(coordinates, self.chunks)
         energy = segment_sum(phi.to(torch.float64), self.triangle_offsets)
@@ -169,7 +217,7 @@ class MeshObjective:
 
     @functools.cached_property
     def chunks(self) -> list[Chunk]:
-        """The triangles as the kernel takes them."""
+        """The triangles in the portions that the energy kernel works on."""
         offsets = chunk_offsets(self.triangle_offsets.tolist())
         return chunks_of(self.rows, self.energy, self.target, offsets, self.edges, self.edge_map)
 
@@ -183,6 +231,7 @@ class MeshObjective:
         return torch.cat([coordinates[:0], *parts])
 
     def select(self, keep: Tensor) -> "MeshObjective":
+        """The objective of the meshes `keep` (B,) bool, over their unknowns alone."""
         blocks = counts_from_offsets(self.block_offsets)
         size = len(self.scale)
         faces = spread(keep, self.triangle_offsets)
