@@ -20,19 +20,20 @@ from torch import Tensor
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from .mutable import Editable, all_upright, fan_quality, independent, length, within_budget
 
-# How often a round chooses among the collapses that remain possible: each choice leaves about a third of them.
-_GOES = 3
+# How often a round chooses among the collapses that are still possible; each choice leaves about a third of them.
+_CHOICES = 3
 
 
 class Outcome(NamedTuple):
-    """What N collapses would do.
+    """What N collapses would do.  Each removes a vertex p, which has at most K triangles p a b.
 
-    before   (N,) worst inverse mean ratio of the triangles they touch
-    after    (N,) that afterwards, by floating point; infinite where a triangle inverts or the link condition fails
+    before   (N,) the worst inverse mean ratio of the triangles at p
+    after    (N,) the worst inverse mean ratio of these triangles after the collapse, by floating-point numbers;
+             infinite where a triangle inverts or the link condition fails
     longest  (N,) the longest new edge, relative to the size wanted
-    a, b     (N, K) the triangles p a b round the vertex p that goes
-    kept     (N, K) bool, the triangle stays
-    claims   (N, K + 1) the vertex that goes and its neighbours, -1 as padding
+    a, b     (N, K) the other corners of the triangles at p
+    kept     (N, K) bool, whether the triangle stays
+    claims   (N, K + 1) p and its neighbours, with -1 as padding
     """
 
     before: Tensor
@@ -44,13 +45,14 @@ class Outcome(NamedTuple):
     claims: Tensor
 
     def select(self, rows: Tensor) -> "Outcome":
+        """The outcomes of the collapses `rows`."""
         return Outcome(*(v[rows] for v in self))
 
 
 def proposals(e: Editable, edge: Tensor) -> tuple[Tensor, Tensor]:
-    """All collapses of the `edge`s (M,), each free end onto the other: half-edges (N,), whose tails would go.
+    """All collapses of the edges (M,), of each free end onto the other end.
 
-    And the row of `edge` that each is of.
+    Returns half-edges (N,), whose tails would be removed, and for each of them the row of its edge (N,).
     """
     owner = (e.twin[edge] >= 0).nonzero().squeeze(1)
     here, there = edge[owner], e.twin[edge[owner]]
@@ -67,11 +69,11 @@ def evaluate(e: Editable, h: Tensor) -> Outcome:
     kept = there & (a != w[:, None]) & (b != w[:, None])
     boundary = ((e.twin < 0) & (e.vertex >= 0)).nonzero().squeeze(1)
     fans, last = torch.bincount(e.vertex[boundary], minlength=len(e.x)), torch.full_like(e.mesh, -1)
-    # One neighbour of a boundary vertex is the head of no half-edge from it.
+    # A boundary vertex has one neighbour that is the head of none of its half-edges.
     last[e.head(boundary)] = e.vertex[boundary]
     neighbours = torch.cat([torch.where(beside >= 0, e.head(beside), -1), last[w][:, None]], 1)
     common = ((a[:, :, None] == neighbours[:, None]) & there[:, :, None]).sum((1, 2))
-    # A boundary vertex where several fans meet stays as it is.
+    # Nothing is collapsed onto a boundary vertex where several fans of triangles meet.
     legal = (fans[u] == 0) & (fans[w] < 2) & (there.sum(1) > 2) & (common == 2)
     ux, uy, wx, wy = (v[:, None] for v in (e.x[u], e.y[u], e.x[w], e.y[w]))
     ax, ay, bx, by = e.x[a], e.y[a], e.x[b], e.y[b]
@@ -93,13 +95,13 @@ def evaluate(e: Editable, h: Tensor) -> Outcome:
 
 
 def still_upright(e: Editable, h: Tensor, outcome: Outcome) -> Tensor:
-    """(N,) bool by exact signs: are all the triangles that the collapses of h (N,) leave upright?"""
+    """(N,) bool, by exact signs: all the triangles that stay after the collapse of h (N,) are upright."""
     w = e.head(h)
     return all_upright(e, e.x[w], e.y[w], outcome.a, outcome.b, outcome.kept)
 
 
 def collapse(e: Editable, h: Tensor) -> None:
-    """Collapse the half-edges h (N,), no two of which share a triangle: their tails go."""
+    """Collapse the half-edges h (N,), no two of which share a triangle; their tails are removed."""
     g = e.twin[h]
     u, w = e.vertex[h], e.vertex[g]
     h1, h2, g1, g2 = next_in_triangle(h), previous_in_triangle(h), next_in_triangle(g), previous_in_triangle(g)
@@ -122,11 +124,11 @@ def collapse(e: Editable, h: Tensor) -> None:
     e.alive[u] = False
 
 
-# How much an edge (half-edges (M,)) wants to go: (M,) numbers, infinite if not at all, lowest first.
+# Takes half-edges (M,) to numbers (M,): the edges with the lowest ones are collapsed first, those with infinity never.
 Wish = Callable[[Tensor], Tensor]
 
 
-# Of outcomes, which to accept, (N,) bool.
+# Which of the outcomes to accept, (N,) bool.
 Judge = Callable[[Outcome], Tensor]
 
 
@@ -139,12 +141,12 @@ def collapse_rounds(
     worth: float = 0.0,
     max_rounds: int = 1000,
 ) -> Tensor:
-    """Collapse what is wished for and judged good until nothing is left; the number in each mesh (B,).
+    """Collapse the edges that are wished for and judged good until none is left; returns the number in each mesh (B,).
 
-    A round asks, at every vertex, about the edge that wants most to go.
+    At every vertex, a round considers the edge that wants most to be collapsed.
 
-    budget  (B,) int64, how many collapses each mesh may have; None: any number
-    worth   a mesh is done after a round that did less than this part of all its collapses
+    budget  (B,) int64, how many collapses each mesh may have; None means any number
+    worth   a mesh is done after a round that does less than this part of all its collapses
     """
     total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
     going = torch.ones_like(total, dtype=torch.bool) if budget is None else budget > 0
@@ -153,31 +155,17 @@ def collapse_rounds(
     every = torch.arange(len(e.twin), device=e.x.device)
     for _ in range(max_rounds):
         edge = e.edges()
-        edge = edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]]
-        want = wish(edge)
-        asked = want.isfinite().nonzero().squeeze(1)
-        edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
-        first = _first_at_an_end(e, edge, key)
-        edge, key = edge[first], key[first]
+        edge, key = _asked(e, edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]], wish)
         if not len(edge):
             break
-        h, owner = proposals(e, edge)
-        outcome = evaluate(e, h)
-        asleep[edge] = True
-        rows = (judge(outcome) & outcome.after.isfinite()).nonzero().squeeze(1)
-        rows = rows[_best_of_each(owner[rows], outcome.after[rows], len(edge))]
-        asleep[edge[owner[rows]]] = False
-        rows = rows[_apart(e.vertex[h[rows]], outcome.claims[rows], key[owner[rows]], len(e.x))]
-        upright = still_upright(e, h[rows], outcome.select(rows))
-        asleep[edge[owner[rows[~upright]]]] = True
-        rows = rows[upright]
+        h, key, claims = _chosen(e, edge, key, judge, asleep)
         if budget is not None:
-            rows = rows[within_budget(e.mesh[e.vertex[h[rows]]], key[owner[rows]], budget - total)]
+            rows = within_budget(e.mesh[e.vertex[h]], key, budget - total)
+            h, claims = h[rows], claims[rows]
         touched = torch.zeros_like(e.alive)
-        claims = outcome.claims[rows]
         touched[claims[claims >= 0]] = True
-        done = e.per_mesh(h[rows])
-        collapse(e, h[rows])
+        done = e.per_mesh(h)
+        collapse(e, h)
         asleep &= ~touched[e.vertex.clamp_min(0)] & ~touched[e.head(every).clamp_min(0)]
         total += done
         going = going & (done >= worth * total)
@@ -186,12 +174,41 @@ def collapse_rounds(
     return total
 
 
+def _asked(e: Editable, edge: Tensor, wish: Wish) -> tuple[Tensor, Tensor]:
+    """Those of the edges (M,) that want most to be collapsed at one of their ends, and their keys, lowest first."""
+    want = wish(edge)
+    asked = want.isfinite().nonzero().squeeze(1)
+    edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
+    first = _first_at_an_end(e, edge, key)
+    return edge[first], key[first]
+
+
+def _chosen(e: Editable, edge: Tensor, key: Tensor, judge: Judge, asleep: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Good collapses of some of the edges (M,), which can be done together.
+
+    asleep  (3T,) bool; the edges that are refused are marked in it, and the others are not
+
+    Returns half-edges (N,), the keys (N,) of their edges, and the vertices that they claim (N, K + 1).
+    """
+    h, owner = proposals(e, edge)
+    outcome = evaluate(e, h)
+    asleep[edge] = True
+    rows = (judge(outcome) & outcome.after.isfinite()).nonzero().squeeze(1)
+    rows = rows[_best_of_each(owner[rows], outcome.after[rows], len(edge))]
+    asleep[edge[owner[rows]]] = False
+    rows = rows[_apart(e.vertex[h[rows]], outcome.claims[rows], key[owner[rows]], len(e.x))]
+    upright = still_upright(e, h[rows], outcome.select(rows))
+    asleep[edge[owner[rows[~upright]]]] = True
+    rows = rows[upright]
+    return h[rows], key[owner[rows]], outcome.claims[rows]
+
+
 def _apart(tail: Tensor, claims: Tensor, key: Tensor, count: int) -> Tensor:
-    """(M,) rows of collapses of which none takes a vertex (N,) that another claims (N, K), those of low key first."""
+    """(M,) rows of collapses, low keys first, such that no tail (N,) of one is among the claims (N, K) of another."""
     rows, chosen = torch.arange(len(tail), device=tail.device), []
     # The last entry stands for -1.
     taken = torch.zeros(count + 1, dtype=torch.bool, device=tail.device)
-    for _ in range(_GOES):
+    for _ in range(_CHOICES):
         first = independent(tail[rows][:, None], claims[rows], key[rows], count)
         chosen.append(rows[first])
         taken[claims[rows[first]]] = True
@@ -200,7 +217,7 @@ def _apart(tail: Tensor, claims: Tensor, key: Tensor, count: int) -> Tensor:
 
 
 def _first_at_an_end(e: Editable, edge: Tensor, key: Tensor) -> Tensor:
-    """(M,) bool: the edges whose key is the lowest at one of their ends."""
+    """(M,) bool: the edges that have the lowest key at one of their ends."""
     u, w = e.vertex[edge], e.head(edge)
     best = torch.full((len(e.x),), torch.iinfo(torch.int64).max, dtype=torch.int64, device=edge.device)
     best.scatter_reduce_(0, torch.cat([u, w]), key.repeat(2), "amin")
@@ -208,7 +225,7 @@ def _first_at_an_end(e: Editable, edge: Tensor, key: Tensor) -> Tensor:
 
 
 def _best_of_each(owner: Tensor, value: Tensor, count: int) -> Tensor:
-    """(N,) bool: of the rows of each owner, the one of lowest value, the first of equals."""
+    """(N,) bool: for each owner its row of lowest value, and the first of several such."""
     best = value.new_full((count,), torch.inf).scatter_reduce_(0, owner, value, "amin")
     level = (value == best[owner]).nonzero().squeeze(1)
     first = torch.full((count,), len(owner), dtype=torch.int64, device=owner.device)

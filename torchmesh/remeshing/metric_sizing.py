@@ -1,9 +1,9 @@
-"""Lengths and sizes as a metric sees them, for remeshing towards triangles that are not equilateral in the plane.
+"""Lengths and sizes in a metric, for remeshing towards triangles that are not equilateral in the plane.
 
-A metric of determinant 1 at every place (`MetricField.at_vertices`) says how triangles are stretched, a size
-field how long edges are when the metric measures them: sqrt(e^T M e), M the mean of the two ends'.  An edge is
-good if that length is the size wanted (Loseille & Alauzet, Continuous mesh framework, SIAM Journal on
-Numerical Analysis 49, 2011; here size and stretching are kept apart).  Areas are those of the plane.
+The metric has determinant 1 everywhere (`MetricField.at_vertices`) and says how triangles are stretched.  The size
+field says how long edges should be when the metric measures them: sqrt(e^T M e), where M is the mean of the metrics
+at both ends.  An edge is good if that length is the size wanted (Loseille & Alauzet, Continuous mesh framework, SIAM
+Journal on Numerical Analysis 49, 2011; here size and stretching are kept apart).  Areas are measured in the plane.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from .sizing import SizeConformity, Sizes, conformity, size_field
 
 
 def metric_lengths(batch: MeshBatch, edges: Tensor, metric: Tensor) -> Tensor:
-    """(E,) float64 lengths of the edges (E, 2); metric (V, 3) entries m11, m12, m22 of determinant 1."""
+    """(E,) float64 the lengths of the edges (E, 2) in the metric (V, 3), with entries m11, m12, m22."""
     points = batch.points.to(torch.float64)
     step = points[edges[:, 0]] - points[edges[:, 1]]
     size = step.abs().amax(1)
@@ -33,10 +33,9 @@ def metric_lengths(batch: MeshBatch, edges: Tensor, metric: Tensor) -> Tensor:
 
 
 def metric_size_field(batch: MeshBatch, sizes: Sizes, metric: Tensor, triangles: Tensor) -> Tensor:
-    """(V,) as `size_field`, of lengths in the metric (V, 3).
+    """(V,) float64 the edge lengths wanted in the metric (V, 3); arguments as in `size_field`.
 
-    Names mean what they mean there, but that "boundary" continues the lengths inwards as they are: the triangles are
-    as many as fit.
+    Here "boundary" continues the lengths inwards as they are, whatever number of triangles that gives.
     """
     if not isinstance(sizes, str) or sizes == "uniform":
         return size_field(batch, sizes, triangles=triangles)
@@ -44,33 +43,33 @@ def metric_size_field(batch: MeshBatch, sizes: Sizes, metric: Tensor, triangles:
     if sizes == "keep":
         edges = connectivity.edges(batch.triangles, twin)
         return _mean_at_vertices(edges, metric_lengths(batch, edges, metric), batch)[0]
-    rim = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
-    length, known = _mean_at_vertices(rim, metric_lengths(batch, rim, metric), batch)
+    held = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
+    length, known = _mean_at_vertices(held, metric_lengths(batch, held, metric), batch)
     known = known | (connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0)
-    # By the graph alone, whose weights are positive however thin the triangles: no size leaves those of the boundary.
+    # All weights are 1, whatever the shapes.  Positive weights keep all sizes within the range of the boundary's.
     even = (length.new_ones(len(batch.triangles)),) * 3
     return harmonic_extension(batch.triangles, even, known, length[:, None], batch.point_offsets)[:, 0]
 
 
 def metric_quality(batch: MeshBatch, metric: Tensor) -> Quality:
-    """The quality of the batch with inverse mean ratios as the metric (V, 3) sees them."""
+    """The quality of the batch, with inverse mean ratios measured in the metric (V, 3)."""
     ratio, offsets = target_quality(batch, MetricField(metric)), batch.triangle_offsets
     mean = segment_sum(ratio, offsets) / counts_from_offsets(offsets)
     return replace(quality(batch), inverse_mean_ratio=ratio, mean=mean, max=segment_max(ratio, offsets))
 
 
 def metric_conformity(batch: MeshBatch, size: Tensor, metric: Tensor) -> SizeConformity:
-    """How well the edges of each mesh follow the sizes (V,), when the metric (V, 3) measures them."""
+    """How well the edges of each mesh follow the sizes (V,), with lengths measured in the metric (V, 3)."""
     return conformity(batch, size, lambda edges: metric_lengths(batch, edges, metric))
 
 
 def unit_metric(metric: Tensor) -> Tensor:
-    """(V, 3) scaled to determinant 1."""
+    """(V, 3) the metric, scaled to determinant 1."""
     return metric / (metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]).sqrt()[:, None]
 
 
 def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
-    """(V,) the mean length of the edges at each vertex, 1 where there are none; (V,) bool: are there any."""
+    """(V,) the mean length of the edges at each vertex, or 1 if it has none; and (V,) bool whether it has any."""
     number = torch.bincount(edges.reshape(-1), minlength=len(batch.points))
     total = sums_at_vertices(edges, length, len(batch.points))
     return torch.where(number > 0, total / number.clamp_min(1), 1.0), number > 0

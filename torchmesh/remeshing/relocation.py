@@ -1,7 +1,7 @@
-"""Vertices that travel from crowded to empty regions: as many splits as collapses, in the same rows.
+"""Vertices travel from crowded to empty regions, by as many splits as collapses, in the same rows.
 
-A collapse sets a vertex free, a split elsewhere takes it up again.  So the number and order of vertices
-and triangles stay, as with flips; a vertex, and whatever field hangs on it, may travel far.
+A collapse sets a vertex free, and a split elsewhere uses it again.  So the number and order of vertices and triangles
+stay, as with flips; but a vertex, with the values of its fields, may travel far.
 """
 
 from dataclasses import dataclass, replace
@@ -19,27 +19,27 @@ from .rounds import Pace, Plan, asked_sizes, improved, metric_at, settle_once
 from .sizing import scaled_to_fit
 from .state import RemeshState
 
-# Two thirds of the time of `remeshing.THOROUGH` were saved by these; after the third cut little changes in most meshes.
+# Relocation is one of the usual stages, so its pace is quicker than that of remeshing.  A mesh of good shapes ends its
+# rounds earlier, usually after three cuts, and one shake is enough.
 QUICK = Pace(
     between=SmoothOptions(max_iterations=8, energy_tolerance=1e-3, single=True),
     good=GOOD_MEAN,
     shakes=((0.9, 1.3),),
     few_when_good=30,
     looser=5,
+    # Edges of 0.7 to 1.4 times their sizes are left alone, so more accurate sizes are not worth loading scipy for.
+    accuracy=1e-3,
 )
 QUICK_PAIRS = PairOptions(worth=0.15)
-
-# Edges of 0.7 to 1.4 times their sizes are left alone, so that more accurate sizes are not worth loading scipy for.
-_ACCURACY = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Relocated:
     """What `relocate` did.
 
-    splits  (B,) int64, vertices that travelled before condensation
-    flips   (B,) int64, edges flipped
-    size    (V,) float64, the edge lengths wanted, as they have travelled with the vertices
+    splits  (B,) int64, the vertices that travelled before condensation
+    flips   (B,) int64, the edges flipped
+    size    (V,) float64, the edge lengths wanted, which have travelled with the vertices
     """
 
     splits: Tensor
@@ -48,10 +48,11 @@ class Relocated:
 
 
 def relocate(batch: MeshBatch, options: RemeshOptions) -> tuple[MeshBatch, Relocated]:
-    """Let vertices travel in valid meshes towards the sizes of the options; what makes shapes worse is taken back.
+    """Let vertices of valid meshes travel towards the sizes of the options.
 
-    Where the boundary is too coarse for the vertices, they are condensed at point sources afterwards
-    (`condensation`).  The boundary is not split, whatever the options say: a vertex there would be one more.
+    What makes shapes worse is taken back.  Where the boundary is too coarse for the vertices, they are condensed at
+    point sources afterwards (`condensation`).  The boundary is not split, whatever the options say, since that would
+    add vertices.
     """
     state = relocated(batch, options)
     condensed, flips = condense(state.batch, options)
@@ -60,15 +61,15 @@ def relocate(batch: MeshBatch, options: RemeshOptions) -> tuple[MeshBatch, Reloc
 
 def relocated(batch: MeshBatch, options: RemeshOptions) -> RemeshState:
     """The state of valid meshes after their vertices have travelled, without condensation."""
-    metric, wanted = metric_at(batch, options), counts_from_offsets(batch.triangle_offsets)
-    size = scaled_to_fit(batch, asked_sizes(batch, options.sizes, metric, wanted, _ACCURACY))
     # Where sizes were asked for, good shapes are no reason to stop.
     pace = replace(QUICK, few_when_good=None) if options.sizes_asked else QUICK
+    metric, wanted = metric_at(batch, options), counts_from_offsets(batch.triangle_offsets)
+    size = scaled_to_fit(batch, asked_sizes(batch, options.sizes, metric, wanted, pace.accuracy))
     plan = Plan(
         options,
         pace,
         cut=lambda state, limits: cut_in_pairs(state, limits, QUICK_PAIRS),
-        # Vertices take their sizes along: to compute them anew took half the time, for little.
+        # Vertices take their sizes along; this halves the time of relocation.
         resize=lambda state, moved: replace(state, batch=moved),
         finish=settle_once,
     )

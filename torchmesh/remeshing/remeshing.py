@@ -20,8 +20,8 @@ from .rounds import Pace, Plan, asked_sizes, improved, metric_at, remesh_by_plan
 from .sizing import SizeConformity, carried, size_conformity, size_field
 from .state import RemeshState
 
-# With these three shakes, hardest first, all variants of the airfoils but those with stretched boundaries ended below
-# a mean of 1.03.
+# The shakes stand hardest first.  With three of them, all variants measured but those with stretched boundaries ended
+# below a mean of 1.03.
 THOROUGH = Pace(
     between=SmoothOptions(max_iterations=15, energy_tolerance=1e-3, single=True),
     good=1.025,

@@ -43,7 +43,7 @@ class Pace:
                   each pair in place of `collapse_below` and `split_above`, and goes through the rounds again; the
                   better result is kept
     over_ceiling  what came of a shake may have a maximum of this many times the ceiling of the last smoothing,
-                  which brings it below: with 1.07 one airfoil more ended below a mean of 1.03
+                  which brings it below; one more airfoil so ended below a mean of 1.03
     few           rounds end when fewer than one edge changed for so many triangles
     few_when_good  the same where the mean is at most `good`; None: the same as `few`
     gain_mean     rounds end when the mean fell by less than this
@@ -51,6 +51,7 @@ class Pace:
     last_rounds   rounds of flips and smoothing before the last smoothing at most, while edges flip
     last_iterations  iterations of each of these smoothings at most
     looser        the last smoothing ends at so many times its energy tolerance
+    accuracy      how accurately the sizes of the boundary are continued inwards (`InwardOptions.accuracy`)
     slack         where the mean falls, the maximum may become this many times as high: it hangs on one triangle
     """
 
@@ -65,6 +66,7 @@ class Pace:
     last_rounds: int = 5
     last_iterations: int = 20
     looser: float = 1.0
+    accuracy: float | None = None
     slack: float = 1.02
 
 

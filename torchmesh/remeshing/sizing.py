@@ -1,7 +1,6 @@
 """How long edges should be: size fields over the vertices, and how well a mesh follows one.
 
-Sizes may come from the boundary, from a mesh, or from the user; they are edge lengths, in the
-unit of the points.
+Sizes are edge lengths in the unit of the points.  They come from the boundary, from a mesh, or from the user.
 """
 
 from collections.abc import Callable
@@ -26,27 +25,57 @@ from ..mesh.ragged import (
     segment_sum,
     spread,
 )
-from ..mesh.triangle import SQRT3, corners, signed_area
+from ..mesh.triangle import SQRT3, Corners, corners, signed_area
 from ..optimising.conjugate_gradients import solve
 from ..optimising.laplacian import InnerStiffness, cotangent_weights, harmonic_extension
 
-# A name, (V,) one length a vertex, or a function of points (N, 2) that returns (N,).
+# A name, one length per vertex (V,), or a function that takes points (N, 2) to lengths (N,).
 Sizes: TypeAlias = Literal["boundary", "keep", "uniform"] | Tensor | Callable[[Tensor], Tensor]
 
 
 NAMES = ("boundary", "keep", "uniform")
 
 
-# Cotangents outside these make the matrix of the harmonic extension indefinite, or stiff, on poor meshes.
-_LEAST_WEIGHT, _MOST_WEIGHT = 0.05, 20.0
+# The weights of the edges opposite the corners a, b, c, three (T,).
+_Weights: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
+# Takes values (V,), of which the known rows are read, and a source (V,), of which the others are, to the solution (V,).
+_Solver: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 
-# Balancing changes the logarithm of the interior's sizes by this much at most: refining costs
-# irregular vertices, coarsening gives a user fewer triangles than before, which is meant.
-_FINER, _COARSER = 0.25, 1.0
-
-
+# Each bisection halves the interval of the change of log h, which 30 of them make shorter than 1e-8.
 _BISECTIONS = 30
+
+
+@dataclass(frozen=True)
+class InwardOptions:
+    """How the sizes of the boundary are continued into the interior by `boundary_sizes`.
+
+    accuracy      the part of the residuals of the linear systems that may be left; they are then solved by conjugate
+                  gradients.  None means that they are solved exactly, by scipy, which takes time to load
+    least_weight  smaller cotangent weights are raised to this: negative ones can make the matrix indefinite
+    most_weight   larger cotangent weights are lowered to this: they make the matrix stiff on poor meshes
+    finer         the logarithm of the interior's sizes may be lowered by this at most to reach the number of
+                  triangles that was asked for, since refining costs irregular vertices
+    coarser       and raised by this at most; the mesh then has fewer triangles than before, which is intended
+    """
+
+    accuracy: float | None = None
+    least_weight: float = 0.05
+    most_weight: float = 20.0
+    finer: float = 0.25
+    coarser: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.accuracy is not None and not 0 < self.accuracy < 1:
+            raise ValueError(f"InwardOptions.accuracy must be None or between 0 and 1, not {self.accuracy}")
+        if not 0 < self.least_weight <= self.most_weight:
+            raise ValueError(
+                "InwardOptions.least_weight must be positive and at most most_weight "
+                f"({self.most_weight}), not {self.least_weight}"
+            )
+        for name in ("finer", "coarser"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"InwardOptions.{name} must not be negative, but is {getattr(self, name)}")
 
 
 def size_field(
@@ -54,22 +83,21 @@ def size_field(
 ) -> Tensor:
     """(V,) float64 the edge length wanted at each vertex.
 
-    sizes      "boundary": the boundary and constrained edges' lengths, continued into the interior so
-               that equilateral triangles fit best (see `boundary_sizes`); "keep": the lengths of the
-               edges now at each vertex; "uniform": one length a mesh, by its area and number of
-               triangles; a tensor (V,); or a function that takes points (N, 2) and returns (N,)
-    triangles  (B,) how many triangles "boundary" and "uniform" aim at; None: as many as there are
-    accuracy   of "boundary": the part of the residuals that may be left of its linear systems, which are then
-               solved by conjugate gradients; None: they are solved exactly, by scipy, which must be loaded
+    sizes      "boundary": the lengths of the boundary and constrained edges, continued into the interior such that
+               equilateral triangles fit best (see `boundary_sizes`); "keep": the lengths of the edges that each vertex
+               has now; "uniform": one length for each mesh, by its area and number of triangles; a tensor (V,);
+               or a function that takes points (N, 2) and returns (N,)
+    triangles  (B,) how many triangles "boundary" and "uniform" aim at; None means as many as there are
+    accuracy   for "boundary", how accurately its linear systems are solved (`InwardOptions.accuracy`)
 
-    Raises ValueError for an unknown name, InvalidMeshError for sizes that are not (V,) positive
-    finite numbers, naming the vertex.
+    Raises ValueError for an unknown name, and InvalidMeshError, which names the vertex, for sizes that are not (V,)
+    positive finite numbers.
     """
     check_sizes(sizes)
     if isinstance(sizes, str):
         wanted = counts_from_offsets(batch.triangle_offsets) if triangles is None else triangles
         if sizes == "boundary":
-            return boundary_sizes(batch, wanted, accuracy)
+            return boundary_sizes(batch, wanted, InwardOptions(accuracy))
         if sizes == "uniform":
             return uniform_sizes(batch, wanted)
         edges = connectivity.edges(batch.triangles, batch.twin)
@@ -94,27 +122,27 @@ def size_field(
 
 
 def check_sizes(sizes: Sizes) -> None:
-    """Raises ValueError for a name that is none."""
+    """Raise ValueError for an unknown name."""
     if isinstance(sizes, str) and sizes not in NAMES:
         raise ValueError(f"sizes must be one of {list(NAMES)}, a tensor (V,) or a function, not {sizes!r}")
 
 
-def boundary_sizes(batch: MeshBatch, triangles: Tensor, accuracy: float | None = None) -> Tensor:
+def boundary_sizes(batch: MeshBatch, triangles: Tensor, options: InwardOptions | None = None) -> Tensor:
     """(V,) the sizes of the boundary, continued inwards: log h = u + c v.
 
-    u is harmonic and equal to the logarithm of the mean length of the boundary and constrained
-    edges at their vertices.  Then the metric of the mesh is flat: h = |f'| of a conformal map f, and
-    the image of a lattice of equilateral triangles under f has no irregular vertex (Gauss-Bonnet;
-    Bunin, A continuum theory for unstructured mesh generation in two dimensions, Computer Aided
-    Geometric Design 25, 2008).  v bends it evenly, -laplace v = exp(-2 u), 0 at the boundary; and c
-    is such that the triangles number `triangles` (B,), as far as c is between -0.25 and 1 over the
-    maximum of v: refining and coarsening beyond that spoils the shapes.  `accuracy` as in `size_field`.
+    u is harmonic.  At the ends of the boundary and constrained edges it is the logarithm of their mean length.  Such a
+    metric of the mesh is flat: h = |f'| for a conformal map f, and the image of a lattice of equilateral triangles
+    under f has no irregular vertex (Gauss-Bonnet; Bunin, A continuum theory for unstructured mesh generation in two
+    dimensions, Computer Aided Geometric Design 25, 2008).  v bends the metric evenly: -laplace v = exp(-2 u), and v = 0
+    at the boundary.  c is chosen such that there are `triangles` (B,) triangles.  Its limits are -finer and coarser of
+    the options over the maximum of v: refining and coarsening beyond them spoil the shapes.
     """
-    inward = continue_inwards(batch, accuracy)
+    options = options or InwardOptions()
+    inward = continue_inwards(batch, options)
     v = inward.bend
     peak = segment_max(v, batch.point_offsets).clamp_min(1e-300)
     v = v / spread(peak, batch.point_offsets)
-    low, high = torch.full_like(peak, -_FINER), torch.full_like(peak, _COARSER)
+    low, high = torch.full_like(peak, -options.finer), torch.full_like(peak, options.coarser)
     wanted = triangles.to(peak) * (SQRT3 / 4)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
@@ -131,10 +159,11 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor, accuracy: float | None =
 class Inwards:
     """The sizes of the boundary, continued into the interior, (V,) each.
 
-    known      is the vertex on the boundary, on a constrained edge, or of no triangle?
-    length     the mean length of such edges at those vertices
-    logarithm  u of `boundary_sizes`;  relative: less the mesh's largest, whose exponential is the unit of `mass`
-    mass       the area that is a vertex's, a third of its triangles'
+    known      bool, the vertex is on the boundary, on a constrained edge, or in no triangle
+    length     the mean length of the boundary and constrained edges at the known vertices
+    logarithm  u of `boundary_sizes`
+    relative   u minus the largest u of the mesh; the exponential of that largest u is the unit of length of `mass`
+    mass       the area that belongs to a vertex, a third of that of its triangles
     bend       v of `boundary_sizes`: in the middle of a strip, half the square of its half width in units of exp u
     """
 
@@ -146,39 +175,52 @@ class Inwards:
     bend: Tensor
 
 
-def continue_inwards(batch: MeshBatch, accuracy: float | None = None) -> Inwards:
-    """Read the sizes at the boundary and constrained edges, and continue them; `accuracy` as in `size_field`."""
-    twin = batch.twin
-    edges = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
+def continue_inwards(batch: MeshBatch, options: InwardOptions | None = None) -> Inwards:
+    """Read the sizes at the boundary and constrained edges, and continue them into the interior."""
+    options = options or InwardOptions()
+    edges = torch.cat([connectivity.boundary_edges(batch.triangles, batch.twin), batch.constrained_edges])
     length, known = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)
-    t = corners(batch.points.to(torch.float64), batch.triangles)
-    upright = signed_area(t) > 0
-    at_a, at_b, at_c = (torch.where(upright, w, 1.0).clamp(_LEAST_WEIGHT, _MOST_WEIGHT) for w in cotangent_weights(t))
     idle = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0
     known = known | idle
-    offsets = batch.point_offsets
-    weights = at_a, at_b, at_c
-    solved = _exactly(batch, weights, known) if accuracy is None else _nearly(batch, twin, weights, known, accuracy)
+    t = corners(batch.points.to(torch.float64), batch.triangles)
+    area = signed_area(t)
+    solved = _solver(batch, _bounded_weights(t, area > 0, options), known, options.accuracy)
     # Sizes relative to each mesh's largest, which is a known one, so that no square leaves the range of numbers.
     logarithm = log(length.clamp_min(1e-300))
+    offsets = batch.point_offsets
     top = segment_max(torch.where(known & ~idle, logarithm, -torch.inf), offsets)
     relative = solved(logarithm - spread(top, offsets), torch.zeros_like(logarithm))
-    share = t.ax.new_zeros(len(batch.points))
-    area = signed_area(t).abs()
-    for corner in batch.triangles.unbind(1):
-        share.index_add_(0, corner, area)
     unit = spread(exp(top), offsets)
-    mass = share / 3 / unit / unit
+    mass = _vertex_areas(batch, area.abs()) / unit / unit
     bend = solved(torch.zeros_like(mass), mass * exp(-2 * relative))
     return Inwards(known, length, relative + spread(top, offsets), relative, mass, bend)
 
 
-# Of values (V,), of which the known rows count, and a source (V,), of which the others do: the solution (V,).
-_Solver: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+def _bounded_weights(t: Corners, upright: Tensor, options: InwardOptions) -> _Weights:
+    """Three (T,) cotangent weights within the limits of the options; inverted and flat triangles have weights of 1."""
+    at_a, at_b, at_c = (
+        torch.where(upright, w, 1.0).clamp(options.least_weight, options.most_weight) for w in cotangent_weights(t)
+    )
+    return at_a, at_b, at_c
 
 
-def _exactly(batch: MeshBatch, weights: tuple[Tensor, Tensor, Tensor], known: Tensor) -> _Solver:
-    """By factorisation."""
+def _vertex_areas(batch: MeshBatch, area: Tensor) -> Tensor:
+    """(V,) a third of the areas (T,) of the triangles at each vertex."""
+    total = area.new_zeros(len(batch.points))
+    for corner in batch.triangles.unbind(1):
+        total.index_add_(0, corner, area)
+    return total / 3
+
+
+def _solver(batch: MeshBatch, weights: _Weights, known: Tensor, accuracy: float | None) -> _Solver:
+    """Solves the linear systems of the harmonic extension with these weights; accuracy as in `InwardOptions`."""
+    if accuracy is None:
+        return _exactly(batch, weights, known)
+    return _nearly(batch, batch.twin, weights, known, accuracy)
+
+
+def _exactly(batch: MeshBatch, weights: _Weights, known: Tensor) -> _Solver:
+    """A solver by factorisation."""
 
     def solved(values: Tensor, source: Tensor) -> Tensor:
         columns = values[:, None], batch.point_offsets, source[:, None]
@@ -187,10 +229,8 @@ def _exactly(batch: MeshBatch, weights: tuple[Tensor, Tensor, Tensor], known: Te
     return solved
 
 
-def _nearly(
-    batch: MeshBatch, twin: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor, accuracy: float
-) -> _Solver:
-    """By conjugate gradients, until the residuals are down to this part of what they were at first."""
+def _nearly(batch: MeshBatch, twin: Tensor, weights: _Weights, known: Tensor, accuracy: float) -> _Solver:
+    """A solver by conjugate gradients, which stops when the residuals are `accuracy` times the first ones."""
     stiffness = InnerStiffness.of(batch.triangles, twin, weights, known)
     offsets = offsets_from_counts(segment_count(~known, batch.point_offsets))
 
@@ -202,14 +242,14 @@ def _nearly(
 
 
 def uniform_sizes(batch: MeshBatch, triangles: Tensor) -> Tensor:
-    """(V,) one length a mesh: the side of `triangles` (B,) equilateral triangles of its area."""
+    """(V,) one length for each mesh: the edge of equilateral triangles, `triangles` (B,) of which have its area."""
     area = signed_area(corners(batch.points.to(torch.float64), batch.triangles)).abs()
     per_mesh = (segment_sum(area, batch.triangle_offsets) / triangles * (4 / SQRT3)).sqrt()
     return spread(per_mesh, batch.point_offsets)
 
 
 def scaled_to_fit(batch: MeshBatch, size: Tensor) -> Tensor:
-    """(V,) the sizes times a factor a mesh with which as many equilateral triangles fill it as it has triangles."""
+    """(V,) the sizes times a factor for each mesh, which then has room for as many equilateral triangles as it has."""
     per_triangle = size[batch.triangles].mean(1)
     share = signed_area(corners(batch.points.to(torch.float64), batch.triangles)) / per_triangle / per_triangle
     fitting = segment_sum(share, batch.triangle_offsets) * (4 / SQRT3)
@@ -219,9 +259,12 @@ def scaled_to_fit(batch: MeshBatch, size: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class SizeConformity:
-    """Edge length over the size wanted (the mean of its two ends'), per mesh (B,): 1 is what was asked.
+    """Edge lengths over the sizes wanted, per mesh (B,), where 1 is ideal.
 
-    mean  over all edges;  low, high  the 5th and 95th percentile
+    The size wanted of an edge is the mean of those of its ends.
+
+    mean       the mean over all edges
+    low, high  the 5th and the 95th percentile
     """
 
     mean: Tensor
@@ -235,7 +278,7 @@ def size_conformity(batch: MeshBatch, sizes: Sizes = "boundary") -> SizeConformi
 
 
 def conformity(batch: MeshBatch, size: Tensor, lengths: Callable[[Tensor], Tensor]) -> SizeConformity:
-    """How well the edges of each mesh follow the sizes (V,); `lengths` takes edges (E, 2) to their lengths (E,)."""
+    """How well the edges of each mesh follow the sizes (V,), where `lengths` takes edges (E, 2) to lengths (E,)."""
     edges = connectivity.edges(batch.triangles, batch.twin)
     owner = owner_of(edges[:, 0], batch.point_offsets)
     edges, offsets = edges[owner.argsort(stable=True)], offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
@@ -244,16 +287,16 @@ def conformity(batch: MeshBatch, size: Tensor, lengths: Callable[[Tensor], Tenso
     return SizeConformity(segment_sum(ratio, offsets) / counts_from_offsets(offsets), low, high)
 
 
-def carried(batch: MeshBatch, size: Tensor, places: Tensor) -> Tensor:
-    """(V,) the field `size` (V,) over `batch`, read where its vertices have gone: `places` (V, 2).
+def carried(batch: MeshBatch, size: Tensor, positions: Tensor) -> Tensor:
+    """(V,) the field `size` (V,) over `batch`, read at the new `positions` (V, 2) of its vertices.
 
-    To first order, by the mean gradient of the triangles at each vertex, and never outside the
-    values of the vertex and its neighbours.
+    The value is of first order, by the mean gradient of the triangles at each vertex, and never outside the range of
+    the values of the vertex and its neighbours.
     """
     points = batch.points.to(torch.float64)
     t = corners(points, batch.triangles)
     a, b, c = (size[corner] for corner in batch.triangles.unbind(1))
-    # The gradient of a linear function times the double area.
+    # The gradient of a linear function times twice the area of its triangle.
     gx = (b - a) * (t.cy - t.ay) - (c - a) * (t.by - t.ay)
     gy = (c - a) * (t.bx - t.ax) - (b - a) * (t.cx - t.ax)
     area = 2 * signed_area(t)
@@ -266,7 +309,7 @@ def carried(batch: MeshBatch, size: Tensor, places: Tensor) -> Tensor:
         low.scatter_reduce_(0, corner, least, "amin")
         high.scatter_reduce_(0, corner, most, "amax")
     x, y, whole = sums
-    move = places.to(torch.float64) - points
+    move = positions.to(torch.float64) - points
     change = (x * move[:, 0] + y * move[:, 1]) / torch.where(whole > 0, whole, torch.inf)
     return torch.minimum(torch.maximum(size + change, low), high)
 
@@ -277,13 +320,16 @@ def edge_lengths(batch: MeshBatch, edges: Tensor) -> Tensor:
     step = (points[edges[:, 0]] - points[edges[:, 1]]).abs()
     larger = torch.maximum(step[:, 0], step[:, 1])
     scale = torch.where(larger > 0, larger, 1.0)
-    # The bits of torch.hypot depend on where in a vector a number stands.
+    # The bits of torch.hypot would depend on where in a vector a number stands.
     x, y = step[:, 0] / scale, step[:, 1] / scale
     return larger * (x * x + y * y).sqrt()
 
 
 def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
-    """(V,) the mean length of the edges at each vertex, the mesh's where there are none; (V,) bool: are there any."""
+    """(V,) the mean length of the edges at each vertex, and (V,) bool whether there are any.
+
+    A vertex without edges has the mean over the vertices of its mesh.
+    """
     count = len(batch.points)
     number = torch.bincount(edges.reshape(-1), minlength=count)
     total = sums_at_vertices(edges, length, count)
@@ -298,4 +344,5 @@ def log(values: Tensor) -> Tensor:
 
 
 def exp(values: Tensor) -> Tensor:
+    """The exponential by numpy, for the same reason."""
     return torch.from_numpy(np.exp(values.cpu().numpy())).to(values.device)
