@@ -1,4 +1,4 @@
-"""How a boundary travels, and how far a mesh can follow a straight line before a triangle flattens."""
+"""The path of a moving boundary, and how far a mesh can move along straight lines before a triangle is flat."""
 
 import math
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread
 from ..mesh.triangle import corners
 from ..mesh.units import centre_and_unit
 
-# A loop turns as a body when that explains its motion to this part of what a mere shift leaves over.
+# A body turns if shift and turn leave at most this part of the motion that a shift alone leaves (root mean square).
 _RIGID = 0.25
 
 
 def largest_step(batch: MeshBatch, new_points: Tensor) -> Tensor:
     """(B,) the part of the straight way to `new_points` on which no triangle of a mesh inverts.
 
-    Along p + t (new - p) a triangle's area is a quadratic in t; the answer is its least positive
-    root over the mesh's triangles, infinite if there is none, 0 for a mesh that is tangled already.
-    More than 1 means that the whole way is safe.
+    On the way p + t (new - p) the area of a triangle is a quadratic in t.  The result is the least positive root over
+    the triangles of the mesh: infinity if there is none, and 0 for a mesh that is tangled already.  More than 1 means
+    that the whole way is safe.
 
-    new_points  (V, 2) in the batch's unit, every row counts
+    new_points  (V, 2) in the unit of the batch; all rows are read
 
-    Raises InvalidMeshError for another shape.
+    Raises InvalidMeshError if new_points has another shape.
     """
     target = torch.as_tensor(new_points).to(batch.points)
     if target.shape != batch.points.shape:
@@ -36,9 +36,9 @@ def largest_step(batch: MeshBatch, new_points: Tensor) -> Tensor:
 
 
 def first_flat(batch: MeshBatch, target: Tensor) -> Tensor:
-    """(T,) when each triangle's area is first zero on the straight way to `target` (V, 2); infinite for never."""
+    """(T,) the t at which each triangle is first flat on the straight way to `target` (V, 2); infinity for never."""
     centre, unit = centre_and_unit(batch.points, batch.point_offsets)
-    # A power of two changes no root and keeps every product in range.
+    # Dividing by a power of two changes no root, and keeps every product within the range of numbers.
     scale = spread(unit, batch.point_offsets)[:, None]
     here = corners((batch.points.to(torch.float64) - spread(centre, batch.point_offsets)) / scale, batch.triangles)
     way = corners((target.to(torch.float64) - batch.points.to(torch.float64)) / scale, batch.triangles)
@@ -48,10 +48,10 @@ def first_flat(batch: MeshBatch, target: Tensor) -> Tensor:
 
 
 def least_positive_root(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """(N,) the least t > 0 where a t^2 + b t + c = 0, for c > 0; infinite if there is none, 0 where c <= 0.
+    """(N,) the least t > 0 with a t^2 + b t + c = 0, for c > 0; infinity if there is none, and 0 where c <= 0.
 
-    2 c / (s - b) with s the root of the discriminant: of the two positive roots the lesser.  For
-    b > 0 the difference cancels, and -(b + s) / 2 a is the same number.
+    The lesser of two positive roots is 2 c / (s - b), where s is the square root of the discriminant.  For b > 0 the
+    difference would lose digits, and -(b + s) / 2 a is the same number.
     """
     size = torch.maximum(torch.maximum(a.abs(), b.abs()), c.abs())
     size = torch.where(size > 0, size, 1.0)
@@ -67,18 +67,18 @@ def least_positive_root(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class BoundaryPath:
-    """The way of the fixed vertices of a batch from where they are, at t = 0, to where they go, at t = 1.
+    """The way of the fixed vertices of a batch from their positions at t = 0 to their positions at t = 1.
 
-    Each loop of the boundary, and each net of constrained edges off the boundary, is a body.  One
-    that goes as a rigid body, or nearly, turns about its moving centre at a steady rate while the
-    rest of its motion grows in proportion; every other vertex goes straight.  A straight path would
-    draw a body that turns by 180 degrees together into a point.
+    Each loop of the boundary, and each net of constrained edges away from the boundary, is a body.  A body whose motion
+    is rigid, or nearly so, turns about its moving centre at a steady rate, and the rest of its motion grows in
+    proportion to t.  Every other vertex goes straight.  If a body that turns by 180 degrees went straight, it would
+    shrink to a point on the way.
 
     start, end     (V, 2) float64
-    body           (V,) int64, the body of each vertex; the last number for those that are in none
-    angle          (L+1,) float64 how far each body turns, in radians within (-pi, pi]; the last is 0
-    origin, goal   (L+1, 2) float64 each body's centre at t = 0 and t = 1
-    point_offsets  (B+1,)
+    body           (V,) int64, the body of each vertex; L, the number of bodies, for vertices in none
+    angle          (L+1,) float64, the angle by which each body turns, in radians in (-pi, pi]; the last is 0
+    origin, goal   (L+1, 2) float64, the centre of each body at t = 0 and at t = 1
+    point_offsets  (B+1,) int64
     """
 
     start: Tensor
@@ -91,7 +91,10 @@ class BoundaryPath:
 
     @classmethod
     def of(cls, batch: MeshBatch, new_points: Tensor, straight: bool = False) -> "BoundaryPath":
-        """From the positions of the fixed vertices in `batch` to their rows of `new_points` (V, 2)."""
+        """The path from the positions of the fixed vertices in `batch` to their rows of `new_points` (V, 2).
+
+        straight  whether all vertices go straight
+        """
         start, end = batch.points.to(torch.float64), new_points.to(torch.float64)
         end = torch.where(batch.fixed[:, None], end, start)
         body, count = _bodies(batch)
@@ -109,10 +112,10 @@ class BoundaryPath:
         p, q = start[rows] - spread(origin, offsets), end[rows] - spread(goal, offsets)
         dot, cross = mean(p[:, 0] * q[:, 0] + p[:, 1] * q[:, 1]), mean(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
         spin = mean((p * p).sum(1)) + mean((q * q).sum(1))
-        # Least squares (Kabsch 1976, in the plane): what is left by a shift, and by a shift and a turn.
+        # The least squares that a shift leaves, and that a shift and a turn leave (Kabsch 1976, in the plane).
         shifted, turned = spin - 2 * dot, spin - 2 * torch.hypot(dot, cross)
         rigid = (turned <= _RIGID**2 * shifted) & (shifted > 1e-24 * spin)
-        # One by one: the bits of a vectorised arctangent depend on where in a vector a number stands.
+        # The bits of a vectorised arctangent would depend on where in a vector a number stands.
         angles = [math.atan2(c, d) if r else 0.0 for c, d, r in zip(*(v.tolist() for v in (cross, dot, rigid)))]  # noqa: B905
         nowhere = start.new_zeros((1, 2))
         return cls(
@@ -127,11 +130,11 @@ class BoundaryPath:
 
     @property
     def turns(self) -> bool:
-        """Does any body turn?"""
+        """Whether any body turns."""
         return bool((self.angle != 0).any())
 
     def at(self, t: Tensor) -> Tensor:
-        """(V, 2) the positions at t (B,), in [0, 1], one for each mesh; free vertices stay where they started."""
+        """(V, 2) the positions at t (B,), one in [0, 1] for each mesh; free vertices stay at their start."""
         t = spread(t.to(torch.float64), self.point_offsets)[:, None]
         position = torch.where(t >= 1, self.end, torch.lerp(self.start, self.end, t))
         if not self.turns:
@@ -140,7 +143,7 @@ class BoundaryPath:
         t, body = t[rows], self.body[rows]
         angle = self.angle[body]
         p = self.start[rows] - self.origin[body]
-        # The goal, turned back, is where the body would go if it did not turn.
+        # The end of a vertex, turned back, is where it would go if the body did not turn.
         back = _turned(self.end[rows] - self.goal[body], -angle)
         centre = torch.lerp(self.origin[body], self.goal[body], t)
         position = position.clone()
@@ -151,7 +154,7 @@ class BoundaryPath:
 def _turned(points: Tensor, angle: Tensor) -> Tensor:
     """`points` (N, 2) turned counter-clockwise by `angle` (N,) about the origin."""
     values, body = angle.unique(return_inverse=True)
-    # As few as there are bodies, one by one for the same bits wherever they stand.
+    # There are only as many angles as bodies.  Vectorised, their bits would depend on where in a vector they stand.
     cosine = values.new_tensor([math.cos(a) for a in values.tolist()])[body]
     sine = values.new_tensor([math.sin(a) for a in values.tolist()])[body]
     x, y = points.unbind(1)
@@ -159,7 +162,7 @@ def _turned(points: Tensor, angle: Tensor) -> Tensor:
 
 
 def _bodies(batch: MeshBatch) -> tuple[Tensor, int]:
-    """(V,) the body of each vertex, in the meshes' order, and the number of bodies, which is the label of none."""
+    """(V,) the body of each vertex, in the order of the meshes, and the number of bodies, which stands for none."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
