@@ -11,8 +11,8 @@ from torchmesh.remeshing.options import RemeshOptions
 def strip(cells: int = 9, length: float = 20.0, width: float = 1.0) -> tm.MeshBatch:
     """A square's mesh with its boundary laid round a long strip at equal steps: few long edges, many vertices."""
     mesh = meshes.grid(cells, cells)
-    rim = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
-    loop = connectivity.boundary_loops(rim)[0]
+    boundary = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
+    loop = connectivity.boundary_loops(boundary)[0]
     at = torch.arange(len(loop), dtype=torch.float64) / len(loop) * 2 * (length + width)
     corner = torch.tensor([0.0, length, length + width, 2 * length + width], dtype=torch.float64)
     for c in corner:

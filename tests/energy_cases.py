@@ -1,6 +1,6 @@
 """Energies of every kind, by name, for the tests of the modules that work with them."""
 
-from torchmesh.optimising.energies import InverseMeanRatio, Regularised, TotalLiftedContent, UntangleBeta
+from torchmesh.optimising.energies import InverseMeanRatio, Regularised, UntangleBeta
 
 ENERGIES = {
     "imr": InverseMeanRatio(),
@@ -13,7 +13,6 @@ ENERGIES = {
     "regularised": Regularised(0.5),
     "regularised, small eps": Regularised(1e-3),
     "regularised, no area": Regularised(0.1, theta=0.0),
-    "lifted content": TotalLiftedContent(0.01),
 }
 
 

@@ -34,9 +34,9 @@ import torch
 
 import torchmesh as tm
 from experiments.shared import arguments, tables
+from experiments.shared.lifted_content import TotalLiftedContent
 from experiments.shared.tangles import tangle
 from torchmesh.mesh.ragged import spread
-from torchmesh.optimising.energies import TotalLiftedContent
 from torchmesh.optimising.jacobian import equilateral
 from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
 from torchmesh.optimising.objective import MeshObjective, pack

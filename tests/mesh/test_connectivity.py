@@ -48,8 +48,8 @@ def test_twin_of_twin_is_the_half_edge_itself(named):
 
 def test_a_half_edge_without_twin_is_on_the_boundary_and_no_other(named):
     _, _, triangles, twin = named
-    rim = con.boundary_edges(triangles, twin)
-    assert {tuple(e) for e in rim.tolist()} == boundary(triangles)
+    edges = con.boundary_edges(triangles, twin)
+    assert {tuple(e) for e in edges.tolist()} == boundary(triangles)
     mask = con.boundary_vertices(triangles, twin, int(triangles.max()) + 3)
     assert set(mask.nonzero().squeeze(1).tolist()) == {v for e in boundary(triangles) for v in e}
 
@@ -91,9 +91,9 @@ def test_boundary_loops_use_each_boundary_edge_once(named):
 def test_loops_that_meet_in_a_vertex_are_taken_apart():
     # Three squares round the vertex 0, all listed as one chain of edges.
     loops = [[0, 1, 2, 3], [0, 4, 5, 6], [0, 7, 8, 9]]
-    rim = torch.tensor([e for loop in loops for e in zip(loop, loop[1:] + loop[:1], strict=True)])
+    edges = torch.tensor([e for loop in loops for e in zip(loop, loop[1:] + loop[:1], strict=True)])
     for order in (torch.arange(12), torch.arange(12).flip(0), torch.arange(12).reshape(3, 4).T.reshape(-1)):
-        found = sorted(sorted(loop.tolist()) for loop in con.boundary_loops(rim[order]))
+        found = sorted(sorted(loop.tolist()) for loop in con.boundary_loops(edges[order]))
         assert found == loops
 
 

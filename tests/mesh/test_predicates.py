@@ -44,7 +44,7 @@ def cocircular(rng, count):
     return np.where((rng.uniform(size=(count, 4, 1)) < 0.25) & (np.arange(count) % 4 > 0)[:, None, None], nudged, rows)
 
 
-def places(rng, corners):
+def positions(rng, corners):
     """Named families of (N, corners, 2) coordinates."""
     usual = rng.uniform(-1, 1, (200, corners, 2))
     flat = collinear(rng, 200, corners)
@@ -71,28 +71,28 @@ def places(rng, corners):
     }
 
 
-FAMILIES = list(places(np.random.default_rng(0), 3))
+FAMILIES = list(positions(np.random.default_rng(0), 3))
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_orientation_is_exact(family, rng):
-    rows = places(rng, 3)[family]
+    rows = positions(rng, 3)[family]
     assert orientations(rows) == true_orientations(rows)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_incircle_is_exact(family, rng):
-    rows = places(rng, 4)[family]
+    rows = positions(rng, 4)[family]
     assert incircles(rows) == true_incircles(rows)
 
 
 def test_the_families_hold_what_they_are_for(rng):
     assert {"collinear", "cocircular", "flat, far from the origin"} <= set(FAMILIES)
-    flat = true_orientations(places(rng, 3)["collinear"])
+    flat = true_orientations(positions(rng, 3)["collinear"])
     assert {-1, 0, 1} == set(flat)
-    assert {-1, 0, 1} == set(true_incircles(places(rng, 4)["cocircular"]))
+    assert {-1, 0, 1} == set(true_incircles(positions(rng, 4)["cocircular"]))
     # Plain floating point gets some of them wrong: the exact path is taken.
-    rows = places(rng, 3)["collinear"]
+    rows = positions(rng, 3)["collinear"]
     (ax, ay), (bx, by), (cx, cy) = rows.transpose(1, 2, 0)
     assert np.sign((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)).tolist() != flat
 

@@ -14,7 +14,6 @@ from torchmesh.mesh.triangle import Corners, inverse_mean_ratio
 from torchmesh.optimising.energies import (
     InverseMeanRatio,
     Regularised,
-    TotalLiftedContent,
     UntangleBeta,
     slopes_and_curvatures,
 )
@@ -158,12 +157,6 @@ def test_regularised_is_finite_for_inverted_triangles_and_grows_as_eps_falls():
     values = [Regularised(eps).value(stretch.double(), det.double()) for eps in (1.0, 0.1, 0.01, 1e-8)]
     assert all(bool(v.isfinite().all()) for v in values)
     assert all(bool((after > before).all()) for before, after in itertools.pairwise(values))
-
-
-def test_lifted_content_tends_to_the_absolute_area(generator):
-    _, stretch, det = jacobians(generator)
-    torch.testing.assert_close(TotalLiftedContent(1e-12).value(stretch, det), det.abs(), rtol=0, atol=1e-5)
-    assert bool((TotalLiftedContent(0.1).value(stretch, det) > det.abs()).all())
 
 
 def test_slopes_have_the_same_bits_wherever_a_triangle_stands(generator):

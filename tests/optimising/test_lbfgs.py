@@ -390,11 +390,11 @@ def test_every_problem_of_a_batch_ends_as_alone_to_the_bit(options):
     for order in ([6, 2, 4, 0, 1, 5, 3], [3, 3, 0]):
         batch = Problems([functions[k] for k in order])
         together = minimise(batch, batch.start, options)
-        for place, k in enumerate(order):
+        for row, k in enumerate(order):
             single, result = alone[k]
             for name in ("energy", "gradient", "iterations", "evaluations", "status"):
-                assert torch.equal(getattr(together, name)[place : place + 1], getattr(result, name)), (k, name)
-            assert torch.equal(batch.lift(together.unknowns)[place], single.lift(result.unknowns)[0])
+                assert torch.equal(getattr(together, name)[row : row + 1], getattr(result, name)), (k, name)
+            assert torch.equal(batch.lift(together.unknowns)[row], single.lift(result.unknowns)[0])
     assert len({int(result.iterations) for _, result in alone}) > 4
 
 

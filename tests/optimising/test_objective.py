@@ -167,7 +167,7 @@ def test_select_is_the_objective_of_the_meshes_kept_to_the_bit(keep):
 
 
 def test_a_large_batch_gives_every_mesh_the_bits_it_has_alone():
-    # More triangles than any chunk that stays in a cache; the meshes stand at all places relative to its borders.
+    # More triangles than any chunk that stays in a cache; the meshes stand at all positions relative to its ends.
     mesh = meshes.jittered(9, 7, 0.4, 3)
     count = 400
     alone, many = packed(mesh), packed(join([mesh] * count))

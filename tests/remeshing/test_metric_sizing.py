@@ -22,9 +22,9 @@ from torchmesh.remeshing.mutable import fan_quality, length
 ASPECT = 4.0
 
 
-def along_x(places: torch.Tensor) -> torch.Tensor:
+def along_x(positions: torch.Tensor) -> torch.Tensor:
     """The metric in which triangles four times as long along x are equilateral."""
-    return torch.tensor([1 / ASPECT, 0, ASPECT], dtype=torch.float64).expand(len(places), 3)
+    return torch.tensor([1 / ASPECT, 0, ASPECT], dtype=torch.float64).expand(len(positions), 3)
 
 
 def wide(cells: int = 10) -> tm.MeshBatch:
@@ -62,8 +62,8 @@ def test_sizes_of_the_boundary_reach_inwards_and_never_beyond_its_own():
     mesh = meshes.disturbed(wide(), 0.02, 1)
     metric = along_x(mesh.points)
     size = metric_size_field(mesh, "boundary", metric, torch.tensor([len(mesh.triangles)]))
-    rim = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
-    known = metric_lengths(mesh, rim, metric)
+    boundary = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
+    known = metric_lengths(mesh, boundary, metric)
     assert float(size.min()) >= float(known.min()) * (1 - 1e-12)
     assert float(size.max()) <= float(known.max()) * (1 + 1e-12)
     edges = connectivity.edges(mesh.triangles, connectivity.twins(mesh.triangles))
@@ -124,7 +124,7 @@ def test_triangles_become_as_long_as_the_metric_says(kind):
 
 def test_a_metric_that_is_the_planes_remeshes_as_well_as_none():
     mesh = meshes.disturbed(meshes.l_shape(4), 0.02, 2)
-    plane = MetricField(lambda places: torch.eye(2, dtype=torch.float64).expand(len(places), 2, 2))
+    plane = MetricField(lambda positions: torch.eye(2, dtype=torch.float64).expand(len(positions), 2, 2))
     sizes = torch.full((len(mesh.points),), 0.15, dtype=torch.float64)
     plain, ours = (tm.remesh(mesh, options(targets, sizes))[0] for targets in (None, plane))
     assert float(tm.quality(ours).mean) == pytest.approx(float(tm.quality(plain).mean), abs=0.01)
@@ -141,13 +141,13 @@ def test_joined_equals_alone():
         assert torch.equal(alone.triangles, joined.triangles)
 
 
-def layer(places: torch.Tensor) -> torch.Tensor:
-    """Along the inner rim of a ring: tangents, where triangles are long near it."""
-    return torch.stack([-places[:, 1], places[:, 0]], 1)
+def layer(positions: torch.Tensor) -> torch.Tensor:
+    """Along the inner boundary of a ring: tangents, where triangles are long near it."""
+    return torch.stack([-positions[:, 1], positions[:, 0]], 1)
 
 
-def thickness(places: torch.Tensor) -> torch.Tensor:
-    return 1 + 5 * torch.exp(-(((places.norm(dim=1) - 0.4) / 0.15) ** 2))
+def thickness(positions: torch.Tensor) -> torch.Tensor:
+    return 1 + 5 * torch.exp(-(((positions.norm(dim=1) - 0.4) / 0.15) ** 2))
 
 
 @pytest.mark.parametrize("boundary_is", ["fixed", "slide"])

@@ -18,14 +18,14 @@ def test_neighbours_are_those_that_share_an_edge_in_order(name):
     twin = connectivity.twins(mesh.triangles)
     vertex = mesh.triangles.reshape(-1)
     ring, closed = neighbours(vertex, twin, torch.arange(len(vertex)))
-    rim = connectivity.boundary_vertices(mesh.triangles, twin, len(mesh.points))
+    boundary = connectivity.boundary_vertices(mesh.triangles, twin, len(mesh.points))
     around: dict[int, dict[int, int]] = {}
     for a, b, c in mesh.triangles.tolist():
         for u, v, w in ((a, b, c), (b, c, a), (c, a, b)):
             around.setdefault(u, {})[v] = w
     for h, (row, whole) in enumerate(zip(ring.tolist(), closed.tolist(), strict=True)):
         u = int(vertex[h])
-        assert whole == (not rim[u])
+        assert whole == (not boundary[u])
         row = [v for v in row if v >= 0]
         assert row[0] == int(vertex[connectivity.next_in_triangle(torch.tensor(h))])
         if name != "bowtie":
@@ -43,10 +43,10 @@ def test_independent_rows_are_a_maximal_choice_by_rank(seed):
     rank = torch.randint(0, 5, (20,), generator=generator).double()
     chosen = independent(centres, claims, rank, 12)
     order = sorted(range(20), key=lambda i: (float(rank[i]), i))
-    place = {row: k for k, row in enumerate(order)}
+    position = {row: k for k, row in enumerate(order)}
     for i in range(20):
         rivals = [j for j in range(20) if j != i and set(centres[j].tolist()) & set(claims[i].tolist()) - {-1}]
-        assert bool(chosen[i]) == all(place[i] < place[j] for j in rivals)
+        assert bool(chosen[i]) == all(position[i] < position[j] for j in rivals)
 
 
 def test_compaction_changes_nothing_where_nothing_died():

@@ -11,8 +11,6 @@ import torchmesh as tm
 from torchmesh import MeshBatch
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.ragged import spread
-from torchmesh.mesh.triangle import corners
-from torchmesh.optimising.laplacian import InnerStiffness, cotangent_weights
 from torchmesh.remeshing.sizing import carried, continue_inwards, edge_lengths, size_conformity, size_field
 
 
@@ -62,29 +60,6 @@ def test_conjugate_gradients_come_as_near_to_the_exact_sizes_as_they_are_asked_t
     assert torch.equal(near[known], exact[known])
     alone = torch.cat([size_field(part, accuracy=accuracy) for part in parts])
     assert torch.equal(alone, near)
-
-
-def test_products_with_the_inner_stiffness_are_those_of_the_assembled_matrix():
-    mesh = meshes.jittered(6, 5, 0.2, 1)
-    weights = cotangent_weights(corners(mesh.points, mesh.triangles))
-    twin = connectivity.twins(mesh.triangles)
-    known = mesh.fixed.clone()
-    known[(~known).nonzero()[3]] = True
-    stiffness = InnerStiffness.of(mesh.triangles, twin, weights, known)
-    dense = torch.zeros(len(known), len(known), dtype=torch.float64)
-    for row, *by_corner in zip(mesh.triangles.tolist(), *(w.tolist() for w in weights), strict=True):
-        for corner, weight in enumerate(by_corner):
-            i, j = row[(corner + 1) % 3], row[(corner + 2) % 3]
-            dense[i, i] += weight
-            dense[j, j] += weight
-            dense[i, j] -= weight
-            dense[j, i] -= weight
-    values = torch.randn(len(known), dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    inner = dense[~known]
-    assert stiffness.size == len(inner)
-    assert torch.allclose(stiffness @ values[~known], inner[:, ~known] @ values[~known], rtol=1e-12, atol=1e-12)
-    assert torch.allclose(stiffness.diagonal(), inner[:, ~known].diagonal(), rtol=1e-12)
-    assert torch.allclose(stiffness.load(values), -inner[:, known] @ values[known], rtol=1e-12, atol=1e-12)
 
 
 def test_boundary_sizes_are_the_mean_of_the_two_edges_there():

@@ -20,17 +20,17 @@ from torchmesh.remeshing.vertex_removal import inverted as inverted_triangles
 # Where neighbouring float64 numbers are 1 apart.
 FAR = 2.0**52
 WALL = np.array([[0.5, 0.25], [0.5, 0.5], [0.5, 0.75]])
-RIM = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]])
+BOUNDARY = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]])
 
 
 def crowded(side, free, seed=0, wall=False):
-    """A square of side + 1 times side + 1 floating-point places, with `free` vertices more, all in one of them.
+    """A square of side + 1 times side + 1 floating-point positions, with `free` vertices more, all at one of them.
 
     wall: constrained edges join the middles of two opposite sides.
     """
     rng = np.random.default_rng(seed)
     inner = rng.uniform(0.1, 0.9, (free, 2))
-    held = np.concatenate([RIM, WALL]) if wall else RIM
+    held = np.concatenate([BOUNDARY, WALL]) if wall else BOUNDARY
     if wall:  # so that the wall's edges are Delaunay
         inner[:, 0] = np.where(inner[:, 0] < 0.5, 0.5, 0.8) * inner[:, 0] + np.where(inner[:, 0] < 0.5, 0.05, 0.2)
     points = np.concatenate([held, inner])
@@ -40,8 +40,8 @@ def crowded(side, free, seed=0, wall=False):
     triangles = np.where((twice < 0)[:, None], triangles[:, ::-1], triangles)[np.abs(twice) > 1e-12]
     edges = [[1, 8], [8, 9], [9, 10], [10, 5]] if wall else None
     mesh = MeshBatch.from_arrays(points, triangles, constrained_edges=edges)
-    places = np.concatenate([held, np.full((free, 2), 0.25)])
-    return mesh.with_points(torch.from_numpy(places * side + FAR))
+    positions = np.concatenate([held, np.full((free, 2), 0.25)])
+    return mesh.with_points(torch.from_numpy(positions * side + FAR))
 
 
 @pytest.mark.parametrize(("side", "free"), [(2, 5), (4, 12), (8, 70)])
@@ -119,9 +119,9 @@ def test_a_round_of_collapses_leaves_a_mesh_of_the_same_frame(name):
     twin, given = twins(after.triangles), twins(mesh.triangles)
     assert torch.equal(twin[twin[twin >= 0]], (twin >= 0).nonzero().squeeze(1))
     assert euler_number(after.triangles, twin) == euler_number(mesh.triangles, given)
-    rims = [old[boundary_edges(after.triangles, twin)], boundary_edges(mesh.triangles, given)]
-    rims = [{tuple(edge) for edge in rim.tolist()} for rim in rims]
-    assert rims[0] == rims[1]
+    boundaries = [old[boundary_edges(after.triangles, twin)], boundary_edges(mesh.triangles, given)]
+    boundaries = [{tuple(edge) for edge in boundary.tolist()} for boundary in boundaries]
+    assert boundaries[0] == boundaries[1]
     gone = torch.ones(len(mesh.points), dtype=torch.bool)
     gone[old] = False
     assert not bool((gone & mesh.fixed).any())

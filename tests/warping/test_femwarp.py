@@ -1,42 +1,15 @@
-"""FEMWARP, relaxation, and the stiffness matrix under them."""
+"""FEMWARP and relaxation."""
 
 import meshes
 import numpy as np
 import pytest
 import torch
 from exact import inverted
-from scipy.sparse.linalg import spsolve
+from linear_elements import stiffness
 
 from torchmesh import InvalidMeshError, MeshBatch, femwarp, join, relax
-from torchmesh.mesh.triangle import corners
-from torchmesh.optimising.laplacian import cotangent_weights, harmonic_extension
 
 GOOD = [name for name in meshes.VALID if name != "bowtie"]
-
-
-def stiffness(mesh):
-    """The P1 stiffness matrix, dense, by gradients of hat functions element by element."""
-    points = mesh.points.numpy()
-    k = np.zeros((len(points), len(points)))
-    for row in mesh.triangles.tolist():
-        # The hat functions are the columns of this inverse: 1, x, y coefficients.
-        matrix = np.column_stack([np.ones(3), points[row]])
-        gradient = np.linalg.inv(matrix)[1:]
-        k[np.ix_(row, row)] += abs(np.linalg.det(matrix)) / 2 * gradient.T @ gradient
-    return k
-
-
-@pytest.mark.parametrize("name", GOOD)
-def test_cotangent_weights_are_the_stiffness_matrix(name):
-    mesh = meshes.VALID[name]()
-    weights = cotangent_weights(corners(mesh.points, mesh.triangles))
-    k = np.zeros((len(mesh.points),) * 2)
-    for w, (i, j) in zip(weights, ((1, 2), (2, 0), (0, 1)), strict=True):
-        np.add.at(k, (mesh.triangles[:, i].numpy(), mesh.triangles[:, j].numpy()), -w.numpy())
-    k = k + k.T
-    k -= np.diag(k.sum(1))
-    # Entries are cotangents: for the worst sliver about 30.
-    np.testing.assert_allclose(k, stiffness(mesh), rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -77,7 +50,7 @@ def test_femwarp_keeps_everything_but_the_points():
     assert torch.equal(warped.fixed, mesh.fixed)
 
 
-def test_femwarp_holds_fixed_interior_vertices_at_their_new_place():
+def test_femwarp_holds_fixed_interior_vertices_at_their_new_position():
     points, triangles = meshes.grid_arrays(4, 4)
     held = np.zeros(len(points), bool)
     held[12] = True
@@ -171,31 +144,3 @@ def test_relax_untangles_inside_a_convex_boundary(name):
 def test_relax_forgets_where_the_free_vertices_were():
     first, second = (relax(meshes.disturbed(meshes.ring(), size, seed)) for size, seed in ((0.1, 1), (3.0, 2)))
     assert torch.equal(first.points, second.points)
-
-
-# --- harmonic extension ---
-
-
-def test_harmonic_extension_of_any_number_of_columns(rng):
-    mesh = meshes.grid()
-    one = torch.ones(len(mesh.triangles), dtype=torch.float64)
-    values = torch.from_numpy(rng.normal(size=(len(mesh.points), 3)))
-    wide = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, values, mesh.point_offsets)
-    for column in range(3):
-        single = values[:, column : column + 1]
-        narrow = harmonic_extension(mesh.triangles, (one, one, one), mesh.fixed, single, mesh.point_offsets)
-        torch.testing.assert_close(wide[:, column : column + 1], narrow, rtol=0, atol=1e-14)
-    # No maximum inside (the weights are positive).
-    assert float(wide[~mesh.fixed].max()) < float(values[mesh.fixed].max())
-
-
-def test_harmonic_extension_agrees_with_scipys_solver():
-    from scipy.sparse import csr_matrix
-
-    mesh = meshes.delaunay()
-    k, fixed = csr_matrix(stiffness(mesh)), mesh.fixed.numpy()
-    values = mesh.points[:, :1] ** 2
-    expected = spsolve(k[~fixed][:, ~fixed].tocsc(), -k[~fixed][:, fixed] @ values.numpy()[fixed])
-    weights = cotangent_weights(corners(mesh.points, mesh.triangles))
-    got = harmonic_extension(mesh.triangles, weights, mesh.fixed, values, mesh.point_offsets)
-    np.testing.assert_allclose(got[~mesh.fixed].numpy().ravel(), expected.ravel(), rtol=0, atol=1e-12)

@@ -186,7 +186,7 @@ def loops(mesh: "MeshBatch") -> dict[str, "Tensor"]:
     """The vertices of the boundary's loops, by name: outer loops, largest first, then holes from left to right."""
     from ..mesh import connectivity
 
-    edges = connectivity.boundary_edges(mesh.triangles, connectivity.twins(mesh.triangles))
+    edges = connectivity.boundary_edges(mesh.triangles, mesh.twin)
     outer: list[tuple] = []
     holes: list[tuple] = []
     for loop in connectivity.boundary_loops(edges):

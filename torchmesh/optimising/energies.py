@@ -126,22 +126,6 @@ class Regularised:
         return phi, (1 - self.theta) * inverse, 2 * self.theta * det * inverse - phi / root
 
 
-@dataclass(frozen=True)
-class TotalLiftedContent:
-    """sqrt(det^2 + alpha stretch + alpha^2) (Du, Aigerman, Zhou, Kovalsky, Yan, Kaufman & Ju,
-    Lifting simplices to find injectivity, ACM Transactions on Graphics 39, 2020)."""
-
-    stretches: ClassVar[bool] = True
-    alpha: Tensor | float = 1e-2
-
-    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
-        return torch.sqrt(det * det + self.alpha * stretch + self.alpha * self.alpha)
-
-    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        phi = self.value(stretch, det)
-        return phi, 0.5 * self.alpha / phi, det / phi
-
-
 def slopes_and_curvatures(energy: Energy, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor]:
     """The first and second derivatives of phi, by autograd of `value`.
 

@@ -31,9 +31,8 @@ def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
     new, old = ((edges[:, 0] * count + edges[:, 1]).sort().values for edges in boundaries)
     if not torch.equal(new, old):
         return "the boundary edges changed"
-    kept = connectivity.edge_keys(after.constrained_edges[:, 0], after.constrained_edges[:, 1], count)
     present = connectivity.edges(triangles, twin)
-    missing = ~torch.isin(kept, connectivity.edge_keys(present[:, 0], present[:, 1], count))
+    missing = ~torch.isin(*(connectivity.keys_of(edges, count) for edges in (after.constrained_edges, present)))
     if bool(missing.any()):
         return f"the constrained edge {after.constrained_edges[missing][0].tolist()} is gone"
     if not torch.equal(after.points[after.fixed], before.points[before.fixed]):

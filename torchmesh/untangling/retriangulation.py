@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, join
+from ..mesh.batch import MeshBatch, constrained_half_edges, join
 from ..triangulating.arrays import Obstacle, among, distinct, signs
 from ..triangulating.polygon import unit_exponent
 from .cavity import Cavity
@@ -117,13 +117,8 @@ def retriangulate_cavities(batch: MeshBatch) -> tuple[MeshBatch, Retriangulation
 
 def _regions(batch: MeshBatch) -> np.ndarray:
     """(T,) the region of each triangle: boundary and constrained edges close it off; numbered by first triangles."""
-    triangles, count = batch.triangles.cpu(), len(batch.points)
-    twin, walls = connectivity.twins(triangles), batch.constrained_edges.cpu()
-    if not len(walls):
-        return connectivity.triangle_components(triangles, twin).numpy()
-    keys = connectivity.edge_keys(connectivity.tails(triangles), connectivity.heads(triangles), count)
-    wall = torch.isin(keys, connectivity.edge_keys(walls[:, 0], walls[:, 1], count))
-    return connectivity.triangle_components(triangles, twin, wall).numpy()
+    walls = constrained_half_edges(batch) if len(batch.constrained_edges) else None
+    return connectivity.triangle_components(batch.triangles, batch.twin, walls).cpu().numpy()
 
 
 class _Work:
