@@ -9,7 +9,7 @@ import torch
 
 from torchmesh import MeshBatch
 from torchmesh.files.documents import load as load_document
-from torchmesh.files.documents import save as save_document
+from torchmesh.files.drafts import Draft
 from torchmesh.files.formats.registry import FORMATS
 
 N = 5  # vertices along a side of the small grid
@@ -70,7 +70,7 @@ def save(path: Path, mesh: meshio.Mesh, **options) -> Path:
         if options:
             meshio.write(path, mesh, **options)
         else:
-            save_document(path, mesh, None, False)
+            Draft.of(path, mesh).save()
     return path
 
 

@@ -20,7 +20,8 @@ import numpy as np
 import torchmesh as tm
 from experiments.files.features import CELLS, FEATURES, Feature, plain
 from experiments.shared import arguments, tables
-from torchmesh.files.documents import load, save
+from torchmesh.files.documents import load
+from torchmesh.files.drafts import Draft
 from torchmesh.files.formats.registry import FORMATS
 
 
@@ -31,7 +32,7 @@ def kept(form: str, feature: Feature, folder: Path) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            save(first, feature.make(form), None, False)
+            Draft.of(first, feature.make(form)).save()
             if not feature.there(load(first), tm.read(first)):
                 return False
         except tm.MeshError:
@@ -53,7 +54,7 @@ def positions(form: str, folder: Path) -> str:
     points = np.random.default_rng(0).random((3, 3)) * (1, 1, 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        save(path, meshio.Mesh(points, [("triangle", np.array([[0, 1, 2]]))]), None, False)
+        Draft.of(path, meshio.Mesh(points, [("triangle", np.array([[0, 1, 2]]))])).save()
         found = tm.read(path).points.double().numpy()
     order = np.lexsort(found.T), np.lexsort(points[:, :2].T)  # STL has an order of its own
     error = np.abs(found[order[0]] - points[order[1], :2]).max()

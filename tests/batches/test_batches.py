@@ -15,6 +15,7 @@ from file_runs import POSIX, job
 from torchmesh import ImproveOptions, MeshBatch, improve, read, write
 from torchmesh.batches import file_improvement
 from torchmesh.batches.batches import Job, fingerprint, improve_jobs
+from torchmesh.files.time_series import SeriesDraft
 
 
 @pytest.fixture
@@ -125,11 +126,11 @@ def test_a_batch_that_fails_is_done_mesh_by_mesh(jobs, monkeypatch):
 
 
 def test_a_failed_write_leaves_no_trace(jobs, tmp_path, monkeypatch):
-    def full(path, *_):
-        Path(path).write_text("half")
-        raise OSError(28, "No space left on device", str(path))
+    def full(self):
+        Path(self.path).write_text("half")
+        raise OSError(28, "No space left on device", str(self.path))
 
-    monkeypatch.setattr(file_improvement, "write_series", full)
+    monkeypatch.setattr(SeriesDraft, "save", full)
     results = list(improve_jobs(jobs[:1], ImproveOptions(), 1000))
     assert "No space left on device" in results[0].error
     assert (results[0].output, results[0].inverted_after) == (None, None)

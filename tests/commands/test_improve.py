@@ -110,7 +110,7 @@ def test_a_warning_is_one_line_on_standard_error(call, folder):
 
 
 @pytest.mark.parametrize(
-    "failing", ["torchmesh.batches.file_improvement.write_series", "torchmesh.pictures.pictures.before_after"]
+    "failing", ["torchmesh.files.time_series.SeriesDraft.save", "torchmesh.pictures.pictures.before_after"]
 )
 def test_all_files_appear_or_none(call, folder, monkeypatch, failing):
     def fail(*_, **__):
@@ -198,3 +198,30 @@ def test_boundaries_slide_on_request(call, folder):
     kept = read(folder / "kept.vtk")
     assert np.array_equal(before.points[before.fixed], kept.points[before.fixed])
     assert quality(after).mean.item() < quality(kept).mean.item()
+
+
+def test_strict_writes_nothing_and_names_what_would_be_lost(call, folder):
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [1.4, 0.5]], float)
+    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    sides = np.array([[0, 1], [1, 2]])
+    meshio.Mesh(points, [("triangle", faces), ("line", sides)], point_data={"t": np.arange(5) / 3}).write(
+        folder / "given.vtu"
+    )
+    before = names(folder)
+    done = call("improve", "given.vtu", "out.off", "--strict")
+    assert done.status == 2
+    assert "out.off: not written, because it would not hold line cells, point data 't'" in done.err
+    assert names(folder) == before
+    loose = call("improve", "given.vtu", "out.off", "--report", "r.json")
+    assert loose.status == 0
+    assert "line cells, point data 't'" in loose.err
+    assert json.loads((folder / "r.json").read_text())["lost"] == ["line cells", "point data 't'"]
+    kept = call("improve", "given.vtu", "out.vtu", "--strict", "--report", "r.json")
+    assert (kept.status, kept.err) == (0, "")
+    assert json.loads((folder / "r.json").read_text())["lost"] == []
+    moved = call("warp", "given.vtu", "moved.off", "--move", "outer:1:1,0", "--strict")
+    assert moved.status == 2
+    assert not (folder / "moved.off").exists()
+    many = call("batch", "given.vtu", "--out", "done", "--format", "off", "--strict", "--workers", "1", "-q")
+    assert many.status == 2
+    assert not (folder / "done" / "given.off").exists()

@@ -41,6 +41,7 @@ class Job:
     output   the file to write, below the folder of results as that was given
     staging  a folder in the folder of results, where the file is written first
     size     bytes of the input, by which work is shared out; 0 where the size is not known
+    strict   is the output an error, and not written, if it would not hold everything that is in the input
     """
 
     name: str
@@ -48,6 +49,7 @@ class Job:
     output: str
     staging: str
     size: int = 0
+    strict: bool = False
 
 
 @dataclass
@@ -147,7 +149,7 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     staged = str(folder / target.name)
     try:
         with _recorded_warnings() as said:
-            _write_staged(improved, target, folder, Path(job.staging).parent)
+            _write_staged(improved, job, target, folder)
         facts["output_bytes"] = target.stat().st_size
     except Exception as error:
         shutil.rmtree(folder, ignore_errors=True)
@@ -164,17 +166,21 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     )
 
 
-def _write_staged(improved: ImprovedFile, target: Path, folder: Path, out: Path) -> None:
+def _write_staged(improved: ImprovedFile, job: Job, target: Path, folder: Path) -> None:
     """Writes the file into `folder` and moves what was made, which may be several files, to the folder of `target`.
 
-    Raises MeshIOError where a link between `out` and the target leads elsewhere.  A link at the target itself is
-    replaced, and what it leads to is left alone.
+    Raises MeshIOError where a link between the folder of results and the target leads elsewhere, and for a strict job
+    that would lose something.  A link at the target itself is replaced, and what it leads to is left alone.
     """
     shutil.rmtree(folder, ignore_errors=True)  # a killed process with this number may have left a part of a file
-    _refuse_ways_out(target, out)
+    _refuse_ways_out(target, Path(job.staging).parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
-    improved.write(folder / target.name)
+    draft = improved.draft(folder / target.name)
+    if job.strict:
+        draft.refuse()
+    draft.tell()
+    draft.save()
     for made in sorted(folder.iterdir()):
         os.replace(made, target.parent / made.name)
 

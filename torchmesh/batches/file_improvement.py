@@ -16,7 +16,7 @@ import torch
 
 from ..files.mesh_files import held
 from ..files.source import Source
-from ..files.time_series import Series, write_series
+from ..files.time_series import Series, SeriesDraft, draft_series
 from ..improving.options import ImproveOptions
 from ..improving.pipeline import improve
 from ..improving.report import Progress, Report
@@ -53,9 +53,21 @@ class ImprovedFile:
     report: Report
     vertex_maps: list[VertexMap] | None
 
+    def draft(self, path: str | os.PathLike[str]) -> SeriesDraft:
+        """The file with the improved meshes in their steps, ready to be written; raises as `write_series` does.
+
+        `report.lost` then names, for the meshes of this file, what the file will not hold.
+        """
+        made = draft_series(path, join(self.meshes), self.given, self.vertex_maps)
+        for b in range(self.rows.start, self.rows.stop):
+            self.report.lost[b] = made.lost
+        return made
+
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes the file with the improved meshes in their steps, all or nothing; raises as `write_series` does."""
-        write_series(path, join(self.meshes), self.given, self.vertex_maps)
+        made = self.draft(path)
+        made.tell()
+        made.save()
 
 
 def improve_series(

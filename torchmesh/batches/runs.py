@@ -48,6 +48,7 @@ def improve_files(
     budget: int = BUDGET,
     suffix: str | None = None,
     redo: bool = False,
+    strict: bool = False,
 ) -> Iterator[FileResult]:
     """Improves mesh files into the folder `out`.  The work is done while you iterate over the results.
 
@@ -61,6 +62,7 @@ def improve_files(
     budget   greatest number of vertices in a batch; a larger mesh is a batch of its own.  Memory grows with it
     suffix   the extension of the outputs, such as ".vtu"; None: that of each input
     redo     begin anew, whatever `out` holds from earlier runs
+    strict   a file that would not hold everything that is in its input is an error, and is not written
 
     Every file is written whole or not at all, and the manifest after it.  The process, its workers or the machine may
     therefore be killed at any time, and the same call continues.  A result of an earlier run has `resumed` set; errors
@@ -70,7 +72,7 @@ def improve_files(
     when another run writes to `out`, or when `out` cannot be written; ValueError for a bad argument;
     MissingDependencyError for engine "ray" without Ray.  What is wrong with a single file is in its result.
     """
-    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo).results()
+    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo, strict).results()
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ class Run:
 
     kept      results of earlier runs that still hold
     jobs      the files that are left, largest first
+    strict    as for `improve_files`
     changed   why results of earlier runs do not hold, and how many for each reason
     """
 
@@ -89,6 +92,7 @@ class Run:
     budget: int
     kept: list[FileResult]
     jobs: list[Job]
+    strict: bool = False
     changed: dict[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -102,15 +106,16 @@ class Run:
         budget: int = BUDGET,
         suffix: str | None = None,
         redo: bool = False,
+        strict: bool = False,
     ) -> "Run":
         """Finds the files and compares them with the manifest; arguments and errors are those of `improve_files`."""
         options, out = options or ImproveOptions(), Path(out)
         _check_arguments(options, engine, workers, budget)
-        jobs = find_jobs(paths, out, suffix)
+        jobs = [dataclasses.replace(job, strict=strict) for job in find_jobs(paths, out, suffix)]
         if out.exists() and not out.is_dir():
             raise MeshIOError(f"{out}: is not a folder")
         known = {} if redo else manifest.load(out)
-        label, kept, left, changed = settings(options), [], [], dict[str, int]()
+        label, kept, left, changed = settings(options) + ", strict" * strict, [], [], dict[str, int]()
         for job in jobs:
             result = known.get(job.name)
             reason = "" if result is None else _stale(job, result, label)
@@ -121,7 +126,7 @@ class Run:
             else:
                 kept.append(result)
         left.sort(key=lambda job: (-job.size, job.name))  # a large one at the end would leave other workers idle
-        return cls(out, options, engine, workers, budget, kept, left, changed)
+        return cls(out, options, engine, workers, budget, kept, left, strict, changed)
 
     def results(self) -> Iterator[FileResult]:
         """The kept results, then the others as they are made; each is in the manifest before it is given."""
@@ -141,7 +146,7 @@ class Run:
 
     def _made(self) -> Generator[FileResult, None, None]:
         """The results of the jobs, as workers finish them."""
-        label = settings(self.options)
+        label = settings(self.options) + ", strict" * self.strict
         with contextlib.ExitStack() as stack:
             kind: type[LocalWorker] | type[RayWorker] = LocalWorker
             count = self.workers or processors()

@@ -21,6 +21,7 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    StrictOption,
     Topology,
     TopologyOption,
     improve_options,
@@ -84,6 +85,7 @@ def batch(
         typer.Option("--format", metavar="EXT", help="Extension of the results, as vtu.", show_default=False),
     ] = None,
     redo: Annotated[bool, typer.Option("--redo", help="Begin anew, whatever DIR holds from earlier runs.")] = False,
+    strict: StrictOption = False,
     quiet: QuietOption = False,
 ) -> int:
     """Improve many mesh files, as torchmesh improve does, on all processors.
@@ -95,13 +97,14 @@ def batch(
     After an interrupt, a kill or a crash the same command goes on where the last one stopped. Files that have changed
     since, and errors, are done again.
 
-    The exit status is 1 if any mesh is an error or still has inverted triangles.
+    The exit status is 1 if any mesh is an error or still has inverted triangles, and 2 if --strict kept one from being
+    written.
     """
     from ..batches.runs import BUDGET, Run
 
     options = improve_options(method, topology, beta, boundary)
     try:
-        run = Run.plan(sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo)
+        run = Run.plan(sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict)
     except ValueError as error:
         raise UsageError(str(error)) from None
     for reason, count in run.changed.items():
@@ -131,7 +134,7 @@ def _run(run: "Run", quiet: bool) -> int:
             f"not valid: {tally.tangled:,} of {tally.total:,} meshes still have inverted triangles, "
             f"{tally.errors:,} are errors: {run.out / 'manifest.jsonl'}{more}"
         )
-    return int(tally.failed > 0)
+    return 2 if tally.refused else int(tally.failed > 0)
 
 
 class Tally:
@@ -144,13 +147,16 @@ class Tally:
 
     def __init__(self, total: int, kept: int, size: int) -> None:
         self.total, self.kept, self.size = total, kept, size
-        self.done = self.tangled = self.errors = self.inverted_before = self.inverted_after = self.bytes = 0
+        self.done = self.tangled = self.errors = self.refused = self.inverted_before = self.inverted_after = (
+            self.bytes
+        ) = 0
 
     def add(self, result: "FileResult", size: int) -> None:
         """Counts one result, whose file has `size` bytes."""
         self.done += 1
         self.bytes += size
         self.errors += result.error is not None
+        self.refused += (result.error or "").endswith("(strict)")
         self.tangled += result.error is None and not result.valid
         self.inverted_before += result.inverted_before or 0
         self.inverted_after += result.inverted_after or 0

@@ -19,6 +19,7 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    StrictOption,
     ThreadsOption,
     Topology,
     TopologyOption,
@@ -29,6 +30,7 @@ from .targets import check_distinct, check_mesh_target
 
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
+    from ..files.time_series import SeriesDraft
 
 EXAMPLES = (
     "torchmesh improve tangled.vtu better.vtu",
@@ -36,6 +38,7 @@ EXAMPLES = (
     "torchmesh improve tangled.vtk better.vtk --topology keep",
     "torchmesh improve tangled.vtk better.vtk --boundary slide",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
+    "torchmesh improve plate.inp better.inp --strict",
 )
 
 
@@ -60,6 +63,7 @@ def improve(
             metavar="FILE.png", help="Draw before and after; also .pdf and .svg. Needs matplotlib.", show_default=False
         ),
     ] = None,
+    strict: StrictOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
 ) -> int:
@@ -68,6 +72,10 @@ def improve(
     The boundary, region interfaces and vertices marked by the point field 'fixed' stay where they are, unless
     --boundary slide is given. OUT is written
     in any case, whole; if it still has inverted triangles, standard error says so and the exit status is 1.
+
+    Decks of solvers (Abaqus and CalculiX .inp, Nastran .bdf, Kratos .mdpa, Exodus .e, SU2 with several zones) are
+    changed in place: moved nodes, flipped elements and the sides that loads act on are written anew, and every other
+    line stays. What OUT cannot hold of IN is named on standard error.
     """
     from ..batches.file_improvement import improve_series, open_mesh
 
@@ -80,6 +88,9 @@ def improve(
     with console.progress(quiet) as show:
         (improved,) = improve_series([given], options, progress=show)
         seconds = time.perf_counter() - started
+        draft = improved.draft(target)
+        if strict:
+            draft.refuse()
         columns = {
             "before": console.record(given.batch, improved.before),
             "after": console.record(improved.meshes[0], improved.report.quality),
@@ -96,7 +107,7 @@ def improve(
             **columns,
             **{key: value for key, value in improved.report.to_dict()[0].items() if key != "mesh"},
         }
-        _write(improved, target, report, document, plot, f"{source.name}: before and after")
+        _write(improved, draft, report, document, plot, f"{source.name}: before and after")
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
     return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0])
@@ -121,7 +132,7 @@ def _check_targets(source: Path, target: Path, report: Path | None, plot: Path |
 
 def _write(
     improved: "ImprovedFile",
-    target: Path,
+    draft: "SeriesDraft",
     report: Path | None,
     document: dict[str, Any],
     plot: Path | None,
@@ -136,4 +147,5 @@ def _write(
             files.enter_context(replacing(report)).write_text(console.json_text(document), encoding="utf-8")
         if plot is not None:
             before_after(files.enter_context(replacing(plot)), improved.given.batch, improved.meshes[0], title)
-        improved.write(target)
+        draft.tell()
+        draft.save()

@@ -90,6 +90,16 @@ BetaOption = Annotated[
 ]
 
 
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="If OUT would not hold everything that is in IN, write nothing, name what is missing, and end with exit "
+        "status 2. Without this, a warning names it.",
+    ),
+]
+
+
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
 
 

@@ -14,13 +14,13 @@ import typer
 from . import console
 from .errors import UsageError
 from .motion_options import Motion, loops
-from .shared_options import InArgument, QuietOption, ThreadsOption, use_threads
+from .shared_options import InArgument, QuietOption, StrictOption, ThreadsOption, use_threads
 from .targets import check_mesh_target
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..files.time_series import Series
+    from ..files.time_series import Series, SeriesDraft
 
 EXAMPLES = (
     "torchmesh warp plate.msh --list",
@@ -70,6 +70,7 @@ def warp(
             show_default=False,
         ),
     ] = None,
+    strict: StrictOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
 ) -> int:
@@ -103,8 +104,8 @@ def warp(
     given = open_mesh(source)
     boundary = motion.apply(given.sources[0])
     if steps is not None:
-        return _deform(given, boundary, steps, target, quiet)
-    return _warp(given, boundary, improve_too, target, quiet)
+        return _deform(given, boundary, steps, target, strict, quiet)
+    return _warp(given, boundary, improve_too, target, strict, quiet)
 
 
 def _list(path: Path) -> int:
@@ -124,10 +125,10 @@ def _list(path: Path) -> int:
     return 0
 
 
-def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, quiet: bool) -> int:
+def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, strict: bool, quiet: bool) -> int:
     """Warps in one step, improves if asked, writes; returns the exit status."""
     from ..batches.file_improvement import improve_series
-    from ..files.time_series import write_series
+    from ..files.time_series import draft_series
     from ..improving.options import ImproveOptions
     from ..mesh.measure import quality
     from ..warping.femwarp import femwarp
@@ -138,13 +139,13 @@ def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, 
     after = quality(warped)
     columns = {"undeformed": console.record(mesh, quality(mesh)), "warped": console.record(warped, after)}
     if not improve_too:
-        write_series(target, warped, given)
+        _save(draft_series(target, warped, given), strict)
     else:
         with console.progress(quiet) as show:
             (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
         after = improved.report.quality
         columns["improved"] = console.record(improved.meshes[0], after)
-        improved.write(target)
+        _save(improved.draft(target), strict)
     if not quiet:
         console.print_comparison(str(target), columns)
     if improve_too:
@@ -157,9 +158,9 @@ def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, 
     return 0
 
 
-def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, quiet: bool) -> int:
+def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, strict: bool, quiet: bool) -> int:
     """Moves in steps that invert nothing, writes, and says how far the boundary got; returns the exit status."""
-    from ..files.time_series import write_series
+    from ..files.time_series import draft_series
     from ..improving.deformation import deform
     from ..mesh.measure import quality
     from ..status import Status
@@ -167,7 +168,7 @@ def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, quiet
     mesh = given.batch
     with console.progress(quiet) as show, _file_named(given):
         after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show)
-    write_series(target, after, given)
+    _save(draft_series(target, after, given), strict)
     if not quiet:
         columns = {"undeformed": console.record(mesh, quality(mesh)), "deformed": console.record(after, quality(after))}
         console.print_comparison(f"{target}, {report.messages[0]}", columns)
@@ -175,6 +176,14 @@ def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, quiet
         return 0
     console.say(f"not at the goal: {target} is valid, but {report.messages[0]}")
     return 1
+
+
+def _save(draft: "SeriesDraft", strict: bool) -> None:
+    """Writes a file; raises MeshIOError under `strict` if it would not hold everything."""
+    if strict:
+        draft.refuse()
+    draft.tell()
+    draft.save()
 
 
 def _check_steps(steps: str, improve_too: bool) -> None:

@@ -28,6 +28,7 @@ class Content:
     constrained  (K, 2) edges that no flip may remove
     pinned       (V,) bool, vertices of cells that must not change shape
     elsewhere    (V,) bool, vertices of any cells that are not triangles
+    sides        named groups of edges (K, 2) to which the file refers as sides of elements
     """
 
     mesh: meshio.Mesh
@@ -38,6 +39,7 @@ class Content:
     constrained: np.ndarray
     pinned: np.ndarray
     elsewhere: np.ndarray
+    sides: dict[str, np.ndarray]
 
     @classmethod
     def of(cls, document: Document, path: Path) -> "Content":
@@ -54,13 +56,15 @@ class Content:
         none = np.zeros((0, 2), np.int64)
         lines = np.concatenate([none, *(b.data for b in mesh.cells if b.type == "line" and len(b.data))])
         on_edge = np.isin(_keys(lines, len(mesh.points)), _keys(_edges(faces), len(mesh.points)))
-        constrained = np.unique(np.concatenate([_interfaces(faces, region), np.sort(lines[on_edge], 1)]), axis=0)
+        sides = np.concatenate([none, *document.sides.values()])
+        kept = np.concatenate([_interfaces(faces, region), lines[on_edge], _shared(sides, faces)])
+        constrained = np.unique(np.sort(kept, 1), axis=0)
         pinned, elsewhere = _pinned(mesh, faces, lines[~on_edge])
-        return cls(mesh, rows, first, triangle, region, constrained, pinned, elsewhere)
+        return cls(mesh, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides)
 
     @property
     def seams(self) -> np.ndarray:
-        """(V,) bool: the vertex lies between lines that differ in a region tag or a set."""
+        """(V,) bool: the vertex lies between lines that differ in a region tag or a set, or ends named sides."""
         lines = [i for i, block in enumerate(self.mesh.cells) if block.type == "line" and len(block.data)]
         low, high = np.full(len(self.mesh.points), np.inf), np.full(len(self.mesh.points), -np.inf)
         seams = np.zeros(len(self.mesh.points), bool)
@@ -74,6 +78,8 @@ class Content:
                     np.minimum.at(low, end, values.reshape(-1))
                     np.maximum.at(high, end, values.reshape(-1))
             seams |= low < high
+        for edges in self.sides.values():
+            seams |= np.bincount(edges.reshape(-1), minlength=len(seams)) == 1
         return seams
 
     @property
@@ -160,6 +166,15 @@ def _interfaces(faces: np.ndarray, region: np.ndarray) -> np.ndarray:
     side = np.repeat(region, 3)[order]
     differ = (keys[order][1:] == keys[order][:-1]) & (side[1:] != side[:-1])
     return edges[order[1:][differ]]
+
+
+def _shared(edges: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(K, 2) those of the edges that lie between two triangles."""
+    if not len(edges):
+        return edges
+    count = max(int(faces.max()), int(edges.max())) + 1
+    keys, copies = np.unique(_keys(_edges(faces), count), return_counts=True)
+    return edges[np.isin(_keys(edges, count), keys[copies > 1])]
 
 
 def _pinned(mesh: meshio.Mesh, faces: np.ndarray, bars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

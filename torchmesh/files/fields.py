@@ -8,6 +8,7 @@ import numpy as np
 REGION_TAGS = (
     "gmsh:physical", "gmsh:geometrical", "medit:ref", "su2:tag", "cell_tags", "CellEntityIds", "nastran:ref",
     "avsucd:material", "netgen:index", "obj:group_ids", "MaterialIDs", "MaterialIds", "material", "region",
+    "kratos:properties", "exodus:block",
 )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from ..mesh.batch import MeshBatch, lift
 from ..mesh.vertex_map import VertexMap
 from .carry_over import carried
 from .correspondence import Correspondence
-from .documents import save
+from .drafts import Draft
 from .formats.format import Document
 from .formats.registry import FORMATS, format_of
 from .messages import warn
@@ -100,29 +100,26 @@ def write(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeshWarning)  # they were given when the mesh was read
             like = Source.open(like)
-    document, content, same_rows = content_for(path, mesh, like, vertex_map)
-    save(path, content, document, same_rows)
+    made = draft(path, mesh, like, vertex_map)
+    made.tell()
+    made.save()
 
 
-def content_for(
-    path: Path, mesh: MeshBatch, like: Source | None, vertex_map: VertexMap | None = None
-) -> tuple[Document | None, meshio.Mesh, bool]:
-    """What `save` takes to write a batch of one at `path`: the document to follow, the content, are the rows the same.
-
-    A MeshWarning names what is not carried over.
-    """
+def draft(path: Path, mesh: MeshBatch, like: Source | None, vertex_map: VertexMap | None = None) -> Draft:
+    """A batch of one, ready to be written at `path`; raises as `write` does."""
     mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     if like is None:
-        document, content, same_rows = None, _new_content(mesh), False
-    else:
-        document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
-        same_rows = correspondence.same_rows
-        content, dropped = carried(mesh, correspondence)
-        dropped += FORMATS[document.format].left_behind(document, format_of(path), same_rows)
-        if dropped:
-            warn(f"{path}: not carried over from {like.path}: {', '.join(dropped)}")
+        content = _new_content(mesh)
+        content.points = _in_space(path, content.points, mesh, None)
+        return Draft.of(path, content)
+    document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
+    same_rows = correspondence.same_rows
+    content, dropped = carried(mesh, correspondence)
+    dropped += FORMATS[document.format].left_behind(document, format_of(path), same_rows)
+    if correspondence.changed and document.format == format_of(path).name:
+        dropped += document.by_element
     content.points = _in_space(path, content.points, mesh, document)
-    return document, content, same_rows
+    return Draft.of(path, content, document, same_rows, like.path, tuple(dropped))
 
 
 def _new_content(mesh: MeshBatch) -> meshio.Mesh:

@@ -14,7 +14,9 @@ import numpy as np
 from ..errors import MeshError, MeshIOError, MeshWarning, MissingDependencyError
 
 # Remarks of meshio that are of no interest, or about what was done on purpose.
-_NOISE = re.compile(r"only meant for debugging|64-bit integers|legacy format|Experimental file|converting to|^\s*$")
+_NOISE = re.compile(
+    r"only meant for debugging|64-bit integers|legacy format|Experimental file|converting to|Converting them to|^\s*$"
+)
 
 _PACKAGE = str(Path(__file__).parents[1])
 

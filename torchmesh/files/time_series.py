@@ -14,7 +14,7 @@ import tempfile
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import meshio
@@ -24,11 +24,11 @@ from ..errors import InvalidMeshError, MeshIOError, MeshWarning
 from ..mesh.batch import MeshBatch, join
 from ..mesh.vertex_map import VertexMap
 from .atomic import replacing
-from .documents import save
+from .drafts import Draft
 from .formats.format import Document
 from .formats.registry import format_of
 from .formats.xdmf import XDMF, is_series
-from .mesh_files import content_for
+from .mesh_files import draft
 from .messages import translated, warn
 from .source import Source
 
@@ -109,6 +109,18 @@ def write_series(
     A series of several steps is written as .xdmf, with its data as text in the one file; a single step in any
     format.  Raises as `write` does.
     """
+    made = draft_series(path, batch, like, vertex_maps)
+    made.tell()
+    made.save()
+
+
+def draft_series(
+    path: str | os.PathLike[str],
+    batch: MeshBatch,
+    like: Series,
+    vertex_maps: Sequence[VertexMap] | None = None,
+) -> "SeriesDraft":
+    """The steps of `like`, ready to be written; arguments and errors are those of `write_series`."""
     path = Path(path)
     meshes = batch.split()
     if len(meshes) != len(like.batch):
@@ -119,25 +131,53 @@ def write_series(
     form = format_of(path)
     if len(like) > 1 and form is not XDMF:
         raise MeshIOError(f"{path}: {form.name} files hold one step, the series has {len(like)}: write .xdmf")
-    if len(like) == 1:
-        document, content, same_rows = content_for(path, meshes[0], like.sources[0], maps[0])
-        save(path, content, document, same_rows)
-        return
-    root = ET.Element("Xdmf", Version="3.0")
-    collection = ET.SubElement(
-        ET.SubElement(root, "Domain"), "Grid", Name="TimeSeries", GridType="Collection", CollectionType="Temporal"
-    )
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as remarks:
-        warnings.simplefilter("always", MeshWarning)
-        one = Path(folder) / f"{path.stem}.xdmf"
-        for step, (time, m, source) in enumerate(zip(like.times, like.mesh_of_step, like.sources, strict=True)):
-            _, content, same_rows = content_for(path, meshes[m], source, maps[m])
-            save(one, content, None, same_rows)
-            collection.append(_as_step(one, step, time))
-    with replacing(path) as made:
-        ET.ElementTree(root).write(made, encoding="utf-8", xml_declaration=True)
-    for text in dict.fromkeys(str(r.message).replace(str(one), str(path)) for r in remarks):
-        warn(text)
+    pairs = zip(like.mesh_of_step, like.sources, strict=True)
+    return SeriesDraft(path, like.times, [draft(path, meshes[m], source, maps[m]) for m, source in pairs])
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesDraft:
+    """The steps of a file before they are written: their times, and a draft of each at the path of the whole file."""
+
+    path: Path
+    times: list[float]
+    steps: list[Draft]
+
+    @property
+    def lost(self) -> list[str]:
+        """Names for everything that some step will not hold."""
+        return list(dict.fromkeys(name for step in self.steps for name in step.lost))
+
+    def tell(self) -> None:
+        """Gives MeshWarnings that name what is lost, each text once."""
+        with warnings.catch_warnings(record=True) as remarks:
+            warnings.simplefilter("always", MeshWarning)
+            for step in self.steps:
+                step.tell()
+        for text in dict.fromkeys(str(r.message) for r in remarks):
+            warn(text)
+
+    def refuse(self) -> None:
+        """Raises MeshIOError if anything is lost."""
+        for step in self.steps:
+            step.refuse()
+
+    def save(self) -> None:
+        """Writes the file, whole or not at all.  Raises MeshIOError."""
+        if len(self.steps) == 1:
+            self.steps[0].save()
+            return
+        root = ET.Element("Xdmf", Version="3.0")
+        collection = ET.SubElement(
+            ET.SubElement(root, "Domain"), "Grid", Name="TimeSeries", GridType="Collection", CollectionType="Temporal"
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            one = Path(folder) / f"{self.path.stem}.xdmf"
+            for number, (time, step) in enumerate(zip(self.times, self.steps, strict=True)):
+                replace(step, path=one, like=None, same_rows=False).save()
+                collection.append(_as_step(one, number, time))
+        with replacing(self.path) as made:
+            ET.ElementTree(root).write(made, encoding="utf-8", xml_declaration=True)
 
 
 def _as_step(path: Path, step: int, time: float) -> ET.Element:

@@ -1,7 +1,7 @@
 """What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -54,6 +54,8 @@ class Report:
     sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None where no sizes were
                asked for and vertices keep their number.  Under "flip" sizes given by vertex are compared as they
                have travelled, times what makes the number of vertices do
+    lost       for every mesh, names for what its file held and the written one does not; filled when a file is
+               written, empty for meshes that come from no file
     """
 
     status: Tensor
@@ -65,6 +67,10 @@ class Report:
     moved: Tensor
     remeshed: "RemeshInfo | None" = None
     sizes: SizeConformity | None = None
+    lost: list[list[str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.lost.extend([] for _ in range(len(self.messages) - len(self.lost)))
 
     @property
     def vertex_map(self) -> "VertexMap | None":
@@ -121,6 +127,7 @@ class Report:
                 "moved": int(self.moved[b]),
                 "flipped": flipped[b],
                 "cavities": cavities[b],
+                "lost": self.lost[b],
                 **({} if self.sizes is None else {"edge_length_over_size": self._size_record(b)}),
                 "steps": [{name: _plain(value) for name, value in vars(step).items()} for step in self.steps[b]],
             }

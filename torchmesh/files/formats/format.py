@@ -2,7 +2,7 @@
 
 import abc
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,9 @@ class Document:
     binary             is it binary; None where the format does not leave the choice
     rest               the part that meshio's mesh type cannot hold, in the way of the format; None if there is none
     repeats_triangles  does it list a triangle once for each group that the triangle is in
+    sides              named groups of edges (K, 2), given by their vertices, to which the file refers as sides of
+                       elements; these edges must stay
+    by_element         names for what the file says of single elements that a flip leaves without a meaning
     """
 
     mesh: meshio.Mesh
@@ -35,6 +38,8 @@ class Document:
     binary: bool | None = None
     rest: Any = None
     repeats_triangles: bool = False
+    sides: dict[str, np.ndarray] = field(default_factory=dict)
+    by_element: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,7 @@ class Format(abc.ABC):
     region_name  the name of the integer cell data (or point data) that is part of the format
     cell_sets    can it hold named sets of cells
     point_sets   can it hold named sets of points
+    set_arrays   are sets written as data of 0 and 1 under their names
     field_data   can it hold data of the whole mesh, or names of groups
     planar       have its points two coordinates instead of three
     index_type   the integer type of cell rows where it must be a certain one
@@ -62,6 +68,7 @@ class Format(abc.ABC):
     region_name: str = ""
     cell_sets: bool = False
     point_sets: bool = False
+    set_arrays: bool = False
     field_data: bool = False
     planar: bool = False
     index_type: type | None = None
@@ -77,6 +84,17 @@ class Format(abc.ABC):
         like       a file of this format whose style (text or binary, version) and `rest` the new one takes over
         same_rows  has the mesh the points and cells of `like`, row by row
         """
+
+    def patches(self, document: Document) -> bool:
+        """Is `document` rewritten in place, so that all of it but the moved vertices and flipped elements stays?"""
+        return False
+
+    def patch(self, path: Path, mesh: meshio.Mesh, like: Document) -> None:
+        """Writes `like` with the points and triangles of `mesh`, which has the points and cells of `like`, row by row.
+
+        Only called for a document that `patches` accepts.  Any exception means that it cannot be written.
+        """
+        raise NotImplementedError
 
     def recognises(self, head: bytes) -> bool:
         """Can a file with these first bytes (4096 at most) be of this format?
@@ -98,6 +116,12 @@ class Format(abc.ABC):
             cells = [meshio.CellBlock(b.type, b.data.astype(self.index_type)) for b in cells]
         cell_data = self._fit_cell_data(mesh, kept, lost)
         point_data = self._fit_point_data(mesh, lost)
+        if self.set_arrays:
+            for name, members in mesh.cell_sets.items():
+                flags = [np.isin(np.arange(len(b.data)), members[i]).astype(np.int32) for i, b in enumerate(mesh.cells)]
+                cell_data.setdefault(name, [flags[i] for i in kept])
+            for name, rows in mesh.point_sets.items():
+                point_data.setdefault(name, np.isin(np.arange(len(mesh.points)), rows).astype(np.int32))
         if not self.cell_sets:
             lost |= {f"cell set {name!r}" for name in mesh.cell_sets}
         if not self.point_sets:
@@ -110,8 +134,10 @@ class Format(abc.ABC):
             point_data=point_data,
             cell_data=cell_data,
             field_data=dict(mesh.field_data),
-            cell_sets={n: [s[i] for i in kept] for n, s in mesh.cell_sets.items()} if self.cell_sets else None,
-            point_sets=mesh.point_sets if self.point_sets else None,
+            cell_sets={n: [s[i] for i in kept] for n, s in mesh.cell_sets.items()}
+            if self.cell_sets and not self.set_arrays
+            else None,
+            point_sets=mesh.point_sets if self.point_sets and not self.set_arrays else None,
             info=mesh.info,
         )
         # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.

@@ -121,10 +121,6 @@ SURFACE_FORMATS = (
 SOLVER_FORMATS = (
     MeshioFormat("medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref"),
     MeshioFormat("med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True),
-    MeshioFormat("exodus", (".e", ".exo", ".ex2"), ("vertex", *LINEAR, "higher"), cell_data="none", point_sets=True),
-    MeshioFormat("mdpa", (".mdpa",), LINEAR, **_NO_DATA, guarded="bytes"),
-    MeshioFormat("nastran", (".bdf", ".fem", ".nas"), LINEAR, **_ONE_TAG, region_name="nastran:ref"),
-    MeshioFormat("abaqus", (".inp",), (*LINEAR, "higher"), **_NO_DATA, cell_sets=True, point_sets=True),
     MeshioFormat("permas", (".post", ".dato"), LINEAR, **_NO_DATA, inspect=_inspect_permas),
     MeshioFormat("netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True),
     MeshioFormat("avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material"),

@@ -3,16 +3,20 @@
 from pathlib import Path
 
 from ...errors import MeshIOError
+from .abaqus import ABAQUS
+from .exodus import EXODUS
 from .format import Format
 from .gmsh import GMSH
+from .kratos import KRATOS
 from .meshio_formats import SOLVER_FORMATS, SURFACE_FORMATS
+from .nastran import NASTRAN
 from .obj import OBJ
 from .su2 import SU2
 from .vtk import VTK
 from .vtu import VTU
 from .xdmf import XDMF
 
-_ALL = (VTU, VTK, GMSH, XDMF, OBJ, *SURFACE_FORMATS, SU2, *SOLVER_FORMATS)
+_ALL = (VTU, VTK, GMSH, XDMF, OBJ, *SURFACE_FORMATS, SU2, EXODUS, KRATOS, NASTRAN, ABAQUS, *SOLVER_FORMATS)
 
 FORMATS: dict[str, Format] = {form.name: form for form in _ALL}
 

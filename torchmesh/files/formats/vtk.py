@@ -59,4 +59,4 @@ class VtkFormat(MeshioFormat):
         return ["the field data"] if target is not self and document.rest.has_fields else []
 
 
-VTK = VtkFormat("vtk", (".vtk",), cell_sets=True, point_sets=True, cell_count=rb"\nCELL_TYPES\s+(\d+)")
+VTK = VtkFormat("vtk", (".vtk",), cell_sets=True, point_sets=True, set_arrays=True, cell_count=rb"\nCELL_TYPES\s+(\d+)")

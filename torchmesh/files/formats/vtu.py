@@ -28,7 +28,7 @@ class VtuFormat(MeshioFormat):
             _finish(path, mesh.field_data, text)
 
 
-VTU = VtuFormat("vtu", (".vtu",), cell_sets=True, point_sets=True, field_data=True, inspect=_inspect)
+VTU = VtuFormat("vtu", (".vtu",), cell_sets=True, point_sets=True, set_arrays=True, field_data=True, inspect=_inspect)
 
 
 def _finish(path: Path, field_data: dict[str, Any], text: bool) -> None:

@@ -1,0 +1,94 @@
+"""Files that are ready to be written: what will be in them, and what of the file that they follow will not.
+
+Everything that is lost is known before the first byte is written, so that a caller may still decide against it.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+
+from ..errors import MeshIOError
+from .atomic import full_disk_named, real_target, replacing
+from .formats.format import Document
+from .formats.registry import format_of
+from .messages import translated, warn
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A mesh file before it is written.
+
+    path       where it will be
+    content    what the format can hold of the mesh and of the file that is followed
+    like       the file that it follows, if that has the same format
+    same_rows  has the mesh the points and cells of `like`, row by row
+    patched    is `like` changed in place
+    source     the path of the file that is followed
+    dropped    names for what of that file has no place in the new mesh or in the new format
+    unheld     names for what the format cannot hold of the rest
+    """
+
+    path: Path
+    content: meshio.Mesh
+    like: Document | None
+    same_rows: bool
+    patched: bool = False
+    source: Path | None = None
+    dropped: tuple[str, ...] = ()
+    unheld: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        path: Path,
+        mesh: meshio.Mesh,
+        like: Document | None = None,
+        same_rows: bool = False,
+        source: Path | None = None,
+        dropped: tuple[str, ...] = (),
+    ) -> "Draft":
+        """The file follows `like` where that has the same format: in text or binary, version, and content that meshio's
+        mesh cannot hold.  Content that is tied to rows is taken only under `same_rows`.
+
+        Raises MeshIOError for a path that cannot be written, and for a file that is changed in place and cannot be.
+        """
+        form = format_of(path)
+        real_target(path)
+        like = like if like is not None and like.format == form.name else None
+        if like is not None and form.patches(like):
+            if not same_rows:
+                raise MeshIOError(
+                    f"{path}: a {form.name} file is changed in place, and this mesh has other vertices, or elements in "
+                    f"other regions, than {source}; without topology 'full', or in another format, it can be written"
+                )
+            return cls(path, mesh, like, same_rows, True, source, dropped)
+        fitted, unheld = form.fit(mesh)
+        return cls(path, fitted, like, same_rows, False, source, dropped, tuple(sorted(unheld)))
+
+    @property
+    def lost(self) -> list[str]:
+        """Names for everything that the file will not hold."""
+        return list(dict.fromkeys([*self.dropped, *self.unheld]))
+
+    def tell(self) -> None:
+        """Gives a MeshWarning that names what is lost."""
+        if self.dropped:
+            warn(f"{self.path}: not carried over from {self.source}: {', '.join(self.dropped)}")
+        if self.unheld:
+            warn(f"{self.path}: {format_of(self.path).name} files do not hold {', '.join(self.unheld)}; dropped")
+
+    def refuse(self) -> None:
+        """Raises MeshIOError if anything is lost."""
+        if self.lost:
+            raise MeshIOError(f"{self.path}: not written, because it would not hold {', '.join(self.lost)} (strict)")
+
+    def save(self) -> None:
+        """Writes the file, whole or not at all.  Raises MeshIOError."""
+        form = format_of(self.path)
+        name, path = form.name, self.path
+        with translated(path, "write", name), replacing(path) as made, full_disk_named(made.parent):
+            if self.patched and self.like is not None:
+                form.patch(made, self.content, self.like)
+            else:
+                form.write(made, self.content, self.like, self.same_rows)

@@ -1,0 +1,277 @@
+"""Exodus files (.e, .exo, .ex2), changed in place through netCDF4.
+
+A file is copied, and of the copy only the coordinates, the corners of triangles, the sides of side sets and the
+results that are carried over are written anew.  Blocks and element sets bound regions.
+https://sandialabs.github.io/seacas-docs/exodusII-new.pdf
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from .deck import triangles_of
+from .format import LINEAR, Document, Format
+from .meshio_formats import MeshioFormat
+from .sides import edges_of, followed
+
+BLOCK = "exodus:block"
+
+_VOLUME = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 20: "hexahedron20", 27: "hexahedron27"}
+_PLANAR = {3: "triangle", 4: "quad", 6: "triangle6", 7: "triangle7", 8: "quad8", 9: "quad9"}
+_ONE = {1: "vertex", 2: "line", 3: "line3", 4: "line4"}
+
+
+@dataclass
+class _Sides:
+    """A side set whose sides are edges of triangles: its number, and which of its members those are.
+
+    members   (n,) rows in the side set
+    elements  (n,) rows of triangles
+    sides     (n,) 0, 1 or 2
+    first     the number in the file that means the first side
+    """
+
+    number: int
+    members: np.ndarray
+    elements: np.ndarray
+    sides: np.ndarray
+    first: int
+
+
+@dataclass
+class ExodusFile:
+    """What must be known of a file to change it.
+
+    data        the whole file
+    blocks      the number of each cell block in the file
+    triangles   (R,) the element number of each triangle row, counted from 0 in the file
+    sides       the side sets that name edges
+    nodal       the results at nodes: name to the number of the variable
+    elemental   the results in elements: name to the number of the variable
+    others      names for what only Exodus holds
+    """
+
+    data: bytes
+    blocks: list[int]
+    triangles: np.ndarray
+    sides: list[_Sides] = field(default_factory=list)
+    nodal: dict[str, int] = field(default_factory=dict)
+    elemental: dict[str, int] = field(default_factory=dict)
+    others: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class ExodusFormat(MeshioFormat):
+    """Exodus files.  A new file that follows no other is written by meshio."""
+
+    def read(self, path: Path) -> Document:
+        import netCDF4
+
+        with netCDF4.Dataset(str(path)) as data:
+            data.set_auto_mask(False)
+            mesh, file = _read_cells(data, path.read_bytes())
+            sides = _read_side_sets(data, mesh, file)
+            _read_sets(data, mesh, file)
+            _read_results(data, mesh, file)
+            by_element = [f"attributes of block {n}" for n in file.blocks if _varies(data, f"attrib{n}")]
+        return Document(mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element))
+
+    def patches(self, document: Document) -> bool:
+        return isinstance(document.rest, ExodusFile)
+
+    def patch(self, path: Path, mesh: meshio.Mesh, like: Document) -> None:
+        import netCDF4
+
+        file: ExodusFile = like.rest
+        path.write_bytes(file.data)
+        with netCDF4.Dataset(str(path), "r+") as data:
+            data.set_auto_mask(False)
+            _write_points(data, mesh.points)
+            for number, block in zip(file.blocks, mesh.cells, strict=True):
+                if block.type == "triangle":
+                    data.variables[f"connect{number}"][:] = block.data + 1
+            before, after = triangles_of(like.mesh), triangles_of(mesh)
+            for one in file.sides:
+                elements, sides = followed(before, after, one.elements, one.sides)
+                named, numbers = data.variables[f"elem_ss{one.number}"], data.variables[f"side_ss{one.number}"]
+                for variable, values in ((named, file.triangles[elements] + 1), (numbers, sides + one.first)):
+                    column = variable[:]
+                    column[one.members] = values
+                    variable[:] = column
+            _write_results(data, mesh, like, (before != after).any(1))
+
+    def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
+        if target is self or not isinstance(document.rest, ExodusFile):
+            return []
+        return [*document.rest.others, *(f"side set {name!r}" for name in document.sides)]
+
+
+EXODUS = ExodusFormat(
+    "exodus", (".e", ".exo", ".ex2"), ("vertex", *LINEAR, "higher"), cell_data="none", point_sets=True
+)
+
+
+def _names(data: Any, variable: str, count: int, else_: str) -> list[str]:
+    """The names that a variable of characters holds; `else_` and a number where it has none."""
+    found = [""] * count
+    if variable in data.variables:
+        rows = np.asarray(data.variables[variable][:]).reshape(count, -1)
+        found = [b"".join(row.tolist()).split(b"\0")[0].decode(errors="replace").strip() for row in rows]
+    return [name or f"{else_}_{k + 1}" for k, name in enumerate(found)]
+
+
+def _ids(data: Any, variable: str, count: int) -> list[int]:
+    return [int(n) for n in data.variables[variable][:]] if variable in data.variables else list(range(1, count + 1))
+
+
+def _size(data: Any, dimension: str) -> int:
+    return len(data.dimensions[dimension]) if dimension in data.dimensions else 0
+
+
+def _varies(data: Any, variable: str) -> bool:
+    """Differ the rows of a variable?"""
+    if variable not in data.variables:
+        return False
+    values = np.asarray(data.variables[variable][:])
+    return len(values) > 0 and bool((values != values[:1]).any())
+
+
+def _read_cells(data: Any, raw: bytes) -> tuple[meshio.Mesh, ExodusFile]:
+    """Points and blocks, with the ids of blocks as cell data and their names as field data."""
+    variables, count = data.variables, _size(data, "num_el_blk")
+    if "coord" in variables:
+        points = np.array(variables["coord"][:]).T
+    else:
+        axes = [variables[f"coord{axis}"][:] for axis in "xyz"[: _size(data, "num_dim")] if f"coord{axis}" in variables]
+        points = np.stack(axes, 1)
+    cells, numbers, ids, triangles, start = [], [], [], [np.zeros(0, np.int64)], 0
+    all_ids, names = _ids(data, "eb_prop1", count), _names(data, "eb_names", count, "block")
+    for number in range(1, count + 1):
+        size = _size(data, f"num_el_in_blk{number}")
+        if f"connect{number}" in variables and size:
+            rows = np.array(variables[f"connect{number}"][:], np.int64) - 1
+            kind = _kind(str(getattr(variables[f"connect{number}"], "elem_type", "")), rows.shape[1])
+            cells.append((kind, rows))
+            numbers.append(number)
+            ids.append(np.full(len(rows), all_ids[number - 1]))
+            if kind == "triangle":
+                triangles.append(start + np.arange(len(rows)))
+        start += size
+    others = [f"block name {name!r}" for name in names] if "eb_names" in variables else []
+    others += [
+        text for key, text in (("qa_records", "QA records"), ("info_records", "info records")) if key in variables
+    ]
+    mesh = meshio.Mesh(points, cells, cell_data={BLOCK: ids} if cells else None)
+    return mesh, ExodusFile(raw, numbers, np.concatenate(triangles), others=others)
+
+
+def _kind(name: str, nodes: int) -> str:
+    """meshio's name for an Exodus element type.  Raises ValueError for an unknown one."""
+    name = name.upper()
+    if nodes <= 2 or name.startswith(("BAR", "BEAM", "TRUSS", "EDGE", "ROD")):
+        known = _ONE
+    else:
+        known = _PLANAR if name.startswith(("TRI", "QUAD", "SHELL", "CIRCLE")) else _VOLUME
+    if nodes not in known:
+        raise ValueError(f"element type {name} with {nodes} nodes is not known")
+    return known[nodes]
+
+
+def _read_side_sets(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> dict[str, np.ndarray]:
+    """The edges of each side set.  Fills `file.sides`."""
+    count, found = _size(data, "num_side_sets"), {}
+    total = sum(_size(data, f"num_el_in_blk{n}") for n in range(1, _size(data, "num_el_blk") + 1))
+    row_of = np.full(total, -1)
+    row_of[file.triangles] = np.arange(len(file.triangles))
+    first = 3 if _size(data, "num_dim") == 3 else 1  # in space, sides 1 and 2 of a triangle are its two faces
+    rows = triangles_of(mesh)
+    for number, name in enumerate(_names(data, "ss_names", count, "side_set"), 1):
+        if f"elem_ss{number}" not in data.variables:
+            continue
+        elements = row_of[np.asarray(data.variables[f"elem_ss{number}"][:], np.int64) - 1]
+        sides = np.asarray(data.variables[f"side_ss{number}"][:], np.int64) - first
+        members = np.flatnonzero((elements >= 0) & (sides >= 0) & (sides < 3))
+        file.sides.append(_Sides(number, members, elements[members], sides[members], first))
+        found[name] = edges_of(rows, elements[members], sides[members])
+    return found
+
+
+def _read_sets(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:
+    """Node sets and element sets."""
+    count = _size(data, "num_node_sets")
+    for number, name in enumerate(_names(data, "ns_names", count, "node_set"), 1):
+        if f"node_ns{number}" in data.variables:
+            mesh.point_sets[name] = np.asarray(data.variables[f"node_ns{number}"][:], np.int64) - 1
+    count = _size(data, "num_elem_sets")
+    starts = np.cumsum([0] + [_size(data, f"num_el_in_blk{n}") for n in range(1, _size(data, "num_el_blk") + 1)])
+    for number, name in enumerate(_names(data, "els_names", count, "element_set"), 1):
+        if f"elem_els{number}" in data.variables:
+            members = np.asarray(data.variables[f"elem_els{number}"][:], np.int64) - 1
+            own = [members[(members >= starts[n - 1]) & (members < starts[n])] - starts[n - 1] for n in file.blocks]
+            mesh.cell_sets[name] = own
+
+
+def _read_results(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:
+    """Results of all time steps: a column a step, or one value where there is one step."""
+    steps = _size(data, "time_step")
+    if steps == 0:
+        return
+    for k, name in enumerate(_names(data, "name_nod_var", _size(data, "num_nod_var"), "nodal"), 1):
+        if f"vals_nod_var{k}" in data.variables:
+            mesh.point_data[name] = _columns(data.variables[f"vals_nod_var{k}"])
+            file.nodal[name] = k
+    for k, name in enumerate(_names(data, "name_elem_var", _size(data, "num_elem_var"), "elemental"), 1):
+        blocks = []
+        for number, block in zip(file.blocks, mesh.cells, strict=True):
+            variable = data.variables.get(f"vals_elem_var{k}eb{number}")
+            shape = (len(block.data),) if steps == 1 else (len(block.data), steps)
+            blocks.append(np.full(shape, np.nan) if variable is None else _columns(variable))
+        mesh.cell_data[name] = blocks
+        file.elemental[name] = k
+    others = {"vals_glo_var": "global results", "vals_nset_var": "results of node sets", "vals_sset_var": "results of "
+              "side sets", "dist_fact_ss": "distribution factors of side sets"}  # fmt: skip
+    file.others += [text for start, text in others.items() if any(v.startswith(start) for v in data.variables)]
+    file.others += ["the times of the steps"] if steps > 1 else []
+
+
+def _columns(variable: Any) -> np.ndarray:
+    """(n,) the values of the only step, or (n, steps)."""
+    values = np.asarray(variable[:], float).T
+    return values[:, 0] if values.shape[1] == 1 else np.ascontiguousarray(values)
+
+
+def _write_points(data: Any, points: np.ndarray) -> None:
+    if "coord" in data.variables:
+        variable = data.variables["coord"]
+        variable[:] = np.pad(points, ((0, 0), (0, 3)))[:, : variable.shape[0]].T
+        return
+    for axis, values in zip("xyz", points.T, strict=False):
+        if f"coord{axis}" in data.variables:
+            data.variables[f"coord{axis}"][:] = values
+
+
+def _write_results(data: Any, mesh: meshio.Mesh, like: Document, changed: np.ndarray) -> None:
+    """Writes the results that were carried over.  Those in elements that were not are NaN in changed triangles."""
+    file: ExodusFile = like.rest
+    for name, k in file.nodal.items():
+        if name in mesh.point_data:
+            _put(data.variables[f"vals_nod_var{k}"], mesh.point_data[name])
+    for name, k in file.elemental.items():
+        row = 0
+        for i, number in enumerate(file.blocks):
+            size, variable = len(mesh.cells[i].data), data.variables.get(f"vals_elem_var{k}eb{number}")
+            triangle = mesh.cells[i].type == "triangle"
+            if variable is not None and name in mesh.cell_data:
+                _put(variable, mesh.cell_data[name][i])
+            elif variable is not None and triangle and changed[row : row + size].any():
+                values = like.mesh.cell_data[name][i].copy()
+                values[changed[row : row + size]] = np.nan
+                _put(variable, values)
+            row += size if triangle else 0
+
+
+def _put(variable: Any, values: np.ndarray) -> None:
+    variable[:] = np.atleast_2d(np.asarray(values).T)
