@@ -90,7 +90,10 @@ class ImproveOptions:
     smooth            the smoothing steps
     polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None: none.
                       Not with topology "keep", targets, or method "paper"
-    relocate          whether vertices travel where shapes stay poor; where sizes are asked for, they do anyway
+    relocate          whether vertices travel far where shapes stay poor: "auto", in meshes that came tangled; True,
+                      also in valid ones; False, nowhere.  Where sizes are asked for, and under topology "full", they
+                      do in any case, and targets or a reference may take them far.  Otherwise no vertex of a valid mesh goes further than the mesh is wide there, the
+                      mean length of its edges at the vertex as given
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
     rounds, refine    when these rounds end, and what they leave alone
@@ -123,7 +126,7 @@ class ImproveOptions:
     boundary: Literal["fixed", "slide"] = "fixed"
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
     polish: PolishOptions | None = field(default_factory=PolishOptions)
-    relocate: bool = True
+    relocate: Literal["auto"] | bool = "auto"
     reference: MeshBatch | None = None
     excerpts: bool = True
     local_repair: LocalRepair = field(default_factory=LocalRepair)
@@ -144,6 +147,8 @@ class ImproveOptions:
                 "halved on its chord, beside the curve along which its ends slide. Let the one be done first, "
                 "then the other"
             )
+        if self.relocate not in ("auto", True, False):
+            raise ValueError(f"ImproveOptions.relocate must be 'auto', True or False, not {self.relocate!r}")
         check_topology(self.smooth.targets, self.topology)
         if self.workers is not None and self.workers < 1:
             raise ValueError(f"ImproveOptions.workers must be at least 1, not {self.workers}")
@@ -160,6 +165,13 @@ class ImproveOptions:
     def may_flip(self) -> bool:
         """May edges change?"""
         return self.topology != "keep"
+
+    @property
+    def stays_near(self) -> bool:
+        """Does a vertex of a valid mesh stay within the width of the mesh there?"""
+        asked = self.remesh.sizes_asked or self.smooth.targets is not None or self.reference is not None
+        far = self.relocate is True or asked or self.topology == "full"
+        return not far and self.method == "default"
 
     @property
     def travels(self) -> bool:

@@ -18,6 +18,7 @@ from .report import Progress, Report, left_over
 from .runner import Job, Log
 from .state import Edits, State
 from .strategies import improve_batch
+from .travel import travel_of
 
 if TYPE_CHECKING:
     from ..remeshing.remeshing import RemeshInfo
@@ -81,6 +82,7 @@ def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
         moved=_moved(state),
         remeshed=_remeshed(state) if options.topology == "full" else None,
         sizes=state.conformity,
+        travel=travel_of(state),
     )
 
 

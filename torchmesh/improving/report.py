@@ -1,7 +1,7 @@
 """What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -38,6 +38,23 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
+class Travel:
+    """How far the vertices of each mesh are from where they were given, in local widths; (B,) float64.
+
+    The local width at a vertex is the mean length of its edges in the mesh as given.  Only vertices that may move
+    count; under topology "full" those that are still there.  0 for a mesh without such vertices.
+    """
+
+    median: Tensor
+    p95: Tensor
+    max: Tensor
+
+    def record(self, b: int) -> dict[str, float]:
+        """The figures of mesh `b` by name."""
+        return {f.name: float(getattr(self, f.name)[b]) for f in fields(self)}
+
+
+@dataclass(frozen=True, eq=False)
 class Report:
     """What `improve` did, per mesh (B,).
 
@@ -49,6 +66,7 @@ class Report:
     steps      for every mesh its rows of the paper's tables, in order
     messages   for every mesh, why it ended
     moved      int64 vertices that are not where they were given, of those that are still there
+    travel     `Travel`: how far vertices are from where they were given, in local widths
     remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
                vertices; None under the other topologies
     sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None where no sizes were
@@ -68,6 +86,7 @@ class Report:
     remeshed: "RemeshInfo | None" = None
     sizes: SizeConformity | None = None
     lost: list[list[str]] = field(default_factory=list)
+    travel: Travel | None = None
 
     def __post_init__(self) -> None:
         self.lost.extend([] for _ in range(len(self.messages) - len(self.lost)))
@@ -125,6 +144,7 @@ class Report:
                 "tried": list(dict.fromkeys(step.stage for step in self.steps[b][1:])),
                 "worked": worked[b],
                 "moved": int(self.moved[b]),
+                **({} if self.travel is None else {"travel": self.travel.record(b)}),
                 "flipped": flipped[b],
                 "cavities": cavities[b],
                 "lost": self.lost[b],

@@ -51,6 +51,11 @@ class Work:
         work = cls.done(state)
         return replace(work, took=torch.zeros_like(work.took))
 
+    def plus(self, more: "Work") -> "Work":
+        """This work and `more` on the same meshes."""
+        sums = {name: getattr(self, name) + getattr(more, name) for name in ("flips", "iterations", "cavities")}
+        return replace(self, **sums)
+
     def over(self, at: Tensor) -> "Work":
         """The same seen from the whole batch, of which the meshes `at` (B,) bool took the stage."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}

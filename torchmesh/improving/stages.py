@@ -101,6 +101,8 @@ def smooth(options: SmoothOptions) -> Stage:
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         free = state.lively if state.curves is None else None
+        if state.held is not None:
+            free = ~state.held if free is None else free & ~state.held
         towards = replace(options, targets=state.targets)
         mesh, info = smoothing.smooth(state.mesh, towards, free=free, monitor=monitor, curves=state.curves)
         curves = state.curves if info.curves is None else info.curves
@@ -127,8 +129,8 @@ def polish(options: polishing.PolishOptions) -> Stage:
     """The worst triangles are bettered, each with its neighbourhood."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        mesh, info = polishing.polish(state.mesh, options)
-        return state.at(mesh), Work.done(state, flips=info.flips)
+        mesh, info = polishing.polish(_holding(state), options)
+        return state.at(replace(mesh, fixed=state.mesh.fixed)), Work.done(state, flips=info.flips)
 
     return stage
 
@@ -169,6 +171,11 @@ def attempt(stage: Stage, origin: Callable[[State], MeshBatch] = lambda state: s
         return replace(kept, reasons=found.reasons), replace(work, kept=better)
 
     return attempted
+
+
+def _holding(state: State) -> MeshBatch:
+    """The mesh with the vertices fixed that this stage must not move."""
+    return state.mesh if state.held is None else replace(state.mesh, fixed=state.mesh.fixed | state.held)
 
 
 def sized(options: RemeshOptions, state: State) -> RemeshOptions:

@@ -9,12 +9,14 @@ the rows of some meshes are taken out of it when a stage asks for them.
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch, put
 from ..mesh.curves import BoundaryCurves
+from ..mesh.means import local_widths
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import spread
 from ..mesh.vertex_map import Names, exchange
@@ -42,6 +44,11 @@ class Given:
     reference: MeshBatch | None
     sizes: Tensor | None
     stays: Tensor
+
+    @cached_property
+    def widths(self) -> Tensor:
+        """(V,) how wide the mesh is at each vertex, the mean length of its edges there."""
+        return local_widths(self.mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +89,11 @@ class State:
     reasons    for each mesh why it cannot be mended, as far as that is known, or ""
     notes      for each mesh what the report says besides, or ""
     certified  (B,) bool, set at the end: the mesh is valid and its frame is the one given
+    tethered   (B,) bool, the mesh came valid and nothing was asked for that takes vertices far
     curves     the curves along which vertices slide, and where they are on them; None: none slides
     targets    what shapes to aim at; None: equilateral triangles
     averaged   (V, 2) where averaging took the vertices that were given; None: it was not tried
+    held       (V,) bool, vertices that must not move in a stage; None: none
     lively     (V,) bool, vertices round which flips and smoothing may still gain; None: all
     sizes      (V,) edge lengths that were asked for and have travelled with the vertices; None: none were
     conformity  how well edges follow them, set at the end; None: no sizes were asked for
@@ -100,9 +109,11 @@ class State:
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     certified: Tensor
+    tethered: Tensor
     curves: BoundaryCurves | None = None
     targets: Targets | None = None
     averaged: Tensor | None = None
+    held: Tensor | None = None
     lively: Tensor | None = None
     sizes: Tensor | None = None
     conformity: SizeConformity | None = None
@@ -135,15 +146,17 @@ class State:
             batch.fixed if curves is None else batch.fixed & ~curves.may_slide(batch.point_offsets),
         )
         count, device = len(batch), batch.points.device
+        q = quality(batch) if known is None else known
         return cls(
             mesh=batch,
             origin=given,
             meshes=torch.arange(count, device=device),
-            quality=quality(batch) if known is None else known,
+            quality=q,
             status=torch.full((count,), Status.RUNNING, device=device),
             reasons=("",) * count,
             notes=("",) * count,
             certified=torch.zeros(count, dtype=torch.bool, device=device),
+            tethered=(q.inverted == 0) & options.stays_near,
             curves=curves,
             targets=as_targets(options.smooth.targets),
         )
@@ -175,6 +188,11 @@ class State:
     def reference(self) -> MeshBatch | None:
         """These meshes undeformed, if the caller gave them."""
         return None if self.origin.reference is None else self.origin.reference.select(self._of_origin())
+
+    @property
+    def widths(self) -> Tensor:
+        """(V,) how wide these meshes were at the vertices given: the mean length of the edges there."""
+        return self.of_given_vertices(self.origin.widths)
 
     @property
     def vertex_names(self) -> Names:
@@ -227,9 +245,11 @@ class State:
             reasons=tuple(self.reasons[b] for b in chosen),
             notes=tuple(self.notes[b] for b in chosen),
             certified=self.certified[at],
+            tethered=self.tethered[at],
             curves=None if self.curves is None else self.curves.select(at),
             targets=narrow(self.targets, self.mesh, at),
             averaged=by_vertex(self.averaged),
+            held=by_vertex(self.held),
             lively=by_vertex(self.lively),
             sizes=by_vertex(self.sizes),
             conformity=None if self.conformity is None else _select_columns(self.conformity, at),

@@ -51,6 +51,7 @@ from .stages import (
     warp,
 )
 from .state import State
+from .travel import tethered
 
 Step = Callable[[State, Runner], State]
 
@@ -216,7 +217,7 @@ def _averaged(state: State) -> MeshBatch:
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:
     """A few triangles that are all but flat would drown the others in q^2, and more so in its ceiling."""
     first = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
-    return run("smooth", smooth(first), state, state.valid & (state.quality.max > o.refine.sliver))[0]
+    return run("smooth", tethered(smooth(first)), state, state.valid & (state.quality.max > o.refine.sliver))[0]
 
 
 def flip_and_smooth(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -266,9 +267,9 @@ def smooth_in_fitting_precision(
     if options.single:
         # In eighth powers, slivers leave the range of single precision.
         poor = at & (state.quality.max > o.refine.coarse)
-        state, _ = run("smooth", smooth(replace(options, single=False)), state, poor)
+        state, _ = run("smooth", tethered(smooth(replace(options, single=False))), state, poor)
         at = at & ~poor
-    return run("smooth", smooth(options), state, at)[0]
+    return run("smooth", tethered(smooth(options)), state, at)[0]
 
 
 def smooth_at_last(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -283,7 +284,7 @@ def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:
     asked = RemeshOptions() if o.topology == "full" else o.remesh
     if not (o.relocate or asked.sizes_asked):
         return state
-    at = crowded(state.quality, asked, state.mesh.triangle_offsets)
+    at = crowded(state.quality, asked, state.mesh.triangle_offsets) & ~state.tethered
     if bool(at.any()):
         state, work = run("relocate", relocate(o.remesh, keep_sizes=asked.sizes_asked), state, at)
         if o.slides:
@@ -296,7 +297,7 @@ def polish_the_worst(state: State, run: Runner, o: ImproveOptions) -> State:
     if o.polish is None:
         return state
     bad = bad_triangles(state.mesh, state.quality, o.polish)
-    return run("polish", polish(o.polish), state, segment_any(bad, state.mesh.triangle_offsets))[0]
+    return run("polish", tethered(polish(o.polish)), state, segment_any(bad, state.mesh.triangle_offsets))[0]
 
 
 # --- vertices that come and go ---

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from .batch import MeshBatch
-from .connectivity import vertex_triangle_counts
+from .connectivity import edges, vertex_triangle_counts
 from .triangle import corners, squared_edge_lengths
 
 
@@ -48,3 +48,12 @@ def vertex_size(batch: MeshBatch) -> Tensor:
     total.index_add_(0, a, ab + ca).index_add_(0, b, ab + bc).index_add_(0, c, bc + ca)
     count = vertex_triangle_counts(batch.triangles, len(batch.points)).clamp_min(1)
     return (total / (2 * count)).sqrt()
+
+
+def local_widths(batch: MeshBatch) -> Tensor:
+    """(V,) the mean length of the edges at each vertex, in the batch's unit; 0 at vertices without any."""
+    ends = edges(batch.triangles, batch.twin)
+    a, b = batch.points.to(torch.float64)[ends].unbind(1)
+    length = (b - a).norm(dim=1)
+    count = sums_at_vertices(ends, torch.ones_like(length), len(batch.points))
+    return sums_at_vertices(ends, length, len(batch.points)) / count.clamp_min(1)

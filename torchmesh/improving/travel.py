@@ -1,0 +1,71 @@
+"""How far vertices go, in local widths, and the tether that holds those of valid meshes near.
+
+   o - - given position
+  / \\      The local width is the mean length of the edges at a vertex in the mesh as given.  A vertex of a mesh
+(  o  )     that came valid stays within one local width of where it was: a stage that would take some further
+  \\ /      is run again with these vertices held where they were before the stage.
+   -
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..mesh.metrics import percentiles
+from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_any, segment_count, spread
+from ..optimising.moves import Monitor
+from .report import Travel
+from .runner import Stage, Work
+from .state import State
+
+# How often a stage is run again before the meshes in which vertices still go too far stay as they were before it.
+_TRIES = 6
+
+
+def travel_of(state: State) -> Travel:
+    """How far the vertices of the meshes are from where they were given."""
+    given, widths = state.given, state.widths
+    row = torch.arange(len(given.points), device=widths.device)
+    if state.names is not None:
+        row = state.of_given_vertices(state.names.vertex_map().old_to_new)
+    counts = (row >= 0) & (widths > 0) & ~state.of_given_vertices(state.origin.stays)
+    far = torch.where(counts, _in_widths(given.points, state.mesh.points[row.clamp_min(0)], widths), 0.0)
+    offsets = offsets_from_counts(segment_count(counts, given.point_offsets))
+    some = counts_from_offsets(offsets) > 0
+    columns = torch.zeros(len(state), 3, dtype=torch.float64, device=far.device)
+    if bool(some.any()):
+        filled = offsets_from_counts(counts_from_offsets(offsets)[some])
+        columns[some] = percentiles(far[counts], filled, (50, 95, 100))
+    return Travel(*columns.unbind(1))
+
+
+def tethered(stage: Stage) -> Stage:
+    """`stage`, but the vertices of meshes that came valid stay within a local width of where they were given."""
+
+    def stage_on_a_tether(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        done, work = stage(state, monitor)
+        if not bool(state.tethered.any()):
+            return done, work
+        given, widths = state.given.points, state.widths
+        held = torch.zeros_like(state.mesh.fixed)
+        for turn in range(_TRIES + 1):
+            too_far = _in_widths(given, done.mesh.points, widths) > 1
+            too_far &= spread(state.tethered, state.mesh.point_offsets)
+            again = segment_any(too_far, state.mesh.point_offsets)
+            if not bool(again.any()):
+                break
+            if turn == _TRIES:
+                return done.put(again, state.select(again)), work
+            held |= too_far
+            short, more = stage(replace(state, held=held).select(again), monitor)
+            done, work = done.put(again, replace(short, held=None)), work.plus(more.over(again))
+        return done, work
+
+    return stage_on_a_tether
+
+
+def _in_widths(before: Tensor, after: Tensor, widths: Tensor) -> Tensor:
+    """(V,) the distances from `before` to `after`, both (V, 2), in local widths; infinite where there is no width."""
+    way = (after.to(torch.float64) - before.to(torch.float64)).norm(dim=1)
+    return torch.where(way > 0, way / widths, 0.0)
