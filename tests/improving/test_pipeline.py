@@ -546,7 +546,7 @@ def test_fast_is_valid_and_leaves_out_what_the_few_worst_gain_from():
     assert stages & {step.stage for steps in plain.steps for step in steps}
     assert not stages & {"relocate", "polish"}
     assert all(sum(s.stage == "smooth" for s in steps) <= 6 for steps in quick.steps)
-    assert ImproveOptions.fast(topology="keep", relocate=True) == ImproveOptions(
+    assert ImproveOptions.fast(topology="keep", relocate="auto") == ImproveOptions(
         topology="keep", polish=None, smooth_rounds=4
     )
 

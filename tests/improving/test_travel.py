@@ -38,7 +38,6 @@ OPTIONS = {
     "default": ImproveOptions(),
     "fast": ImproveOptions.fast(),
     "keep": ImproveOptions(topology="keep"),
-    "slide": ImproveOptions(boundary="slide"),
 }
 
 

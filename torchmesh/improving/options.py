@@ -91,9 +91,9 @@ class ImproveOptions:
     polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None: none.
                       Not with topology "keep", targets, or method "paper"
     relocate          whether vertices travel far where shapes stay poor: "auto", in meshes that came tangled; True,
-                      also in valid ones; False, nowhere.  Where sizes are asked for, and under topology "full", they
-                      do in any case, and targets or a reference may take them far.  Otherwise no vertex of a valid mesh goes further than the mesh is wide there, the
-                      mean length of its edges at the vertex as given
+                      also in valid ones; False, nowhere.  Sizes that were asked for, targets, a reference, sliding and
+                      topology "full" may take vertices far in any case.  Otherwise no vertex of a valid mesh goes
+                      further than the mesh is wide there: the mean length of its edges at the vertex as given
     untangle_rounds   outer iterations of flipping and untangling at most
     smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
     rounds, refine    when these rounds end, and what they leave alone
@@ -170,7 +170,7 @@ class ImproveOptions:
     def stays_near(self) -> bool:
         """Does a vertex of a valid mesh stay within the width of the mesh there?"""
         asked = self.remesh.sizes_asked or self.smooth.targets is not None or self.reference is not None
-        far = self.relocate is True or asked or self.topology == "full"
+        far = self.relocate is True or asked or self.slides or self.topology == "full"
         return not far and self.method == "default"
 
     @property

@@ -34,7 +34,7 @@ def travel_of(state: State) -> Travel:
     offsets = offsets_from_counts(segment_count(counts, given.point_offsets))
     some = counts_from_offsets(offsets) > 0
     columns = torch.zeros(len(state), 3, dtype=torch.float64, device=far.device)
-    if bool(some.any()):
+    if len(state) and bool(some.any()):
         filled = offsets_from_counts(counts_from_offsets(offsets)[some])
         columns[some] = percentiles(far[counts], filled, (50, 95, 100))
     return Travel(*columns.unbind(1))
