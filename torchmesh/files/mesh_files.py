@@ -52,14 +52,16 @@ def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     """(V,) bool: the boundary and interface vertices of a file that must not slide; for `improve(..., hold=...)`.
 
     These are the vertices of quads and other cells that are not triangles, those of vertex cells (if not every
-    vertex has one), those between lines of different tags or sets, and those that the point data `fixed` marks,
-    unless it marks the whole boundary, as what `write` stores does.  Raises as `read` does.
+    vertex has one), those between lines of different tags or sets, those that are paired by Gmsh's $Periodic, and those
+    that the point data `fixed` marks, unless it marks the whole boundary, as what `write` stores does.
+    Raises as `read` does.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeshWarning)
         source = path if isinstance(path, Source) else Source.open(path)
     content, mesh = source.content, source.mesh
     hold = torch.from_numpy(content.pinned | content.seams)
+    hold[torch.from_numpy(source.document.tied)] = True
     if content.fixed is not None:
         boundary = connectivity.boundary_vertices(mesh.triangles, mesh.twin, len(hold))
         marked = torch.from_numpy(content.fixed)

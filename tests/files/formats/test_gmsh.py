@@ -3,13 +3,14 @@
 import warnings
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 import torch
-from file_contents import SU2, load, moved, rebuilt, triangle_data, warned
+from file_contents import SU2, grid, grid_arrays, load, moved, rebuilt, save, triangle_data, warned
 
 from torchmesh.errors import MeshIOError, MeshWarning
-from torchmesh.files.mesh_files import read, write
+from torchmesh.files.mesh_files import held, read, write
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +179,32 @@ def test_gmsh_numbers_and_foreign_sections_stay(tmp_path):
     source.write_text(MSH.replace("30 7 100", "31 7 100"))
     with pytest.raises(MeshIOError, match="refers to node 31, which it does not have"):
         read(source)
+
+
+def test_meshio_reads_new_files_in_which_some_cells_have_no_group(tmp_path):
+    mesh = grid(point_data={}, cell_data={"region": [np.zeros(4, int), np.arange(32) // 16]})
+    path = save(tmp_path / "a.msh", mesh)
+    np.testing.assert_array_equal(
+        np.concatenate(meshio.read(path).cell_data["gmsh:physical"])[-32:], np.arange(32) // 16
+    )
+    assert len(read(path).constrained_edges)
+
+
+PERIODIC = {
+    "2.2": "1\n1 2 1\nAffine 1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1\n2\n3 1\n4 2\n",
+    "4.1": "1\n1 2 1\n16 1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1\n2\n3 1\n4 2\n",
+}
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+def test_nodes_that_are_paired_are_held(tmp_path, version):
+    path = tmp_path / "a.msh"
+    form = {"2.2": "gmsh22", "4.1": "gmsh"}[version]
+    points, faces = grid_arrays()
+    save(path, meshio.Mesh(points, [("triangle", faces)]), file_format=form, binary=False)
+    before = held(path)
+    path.write_text(path.read_text() + f"$Periodic\n{PERIODIC[version]}$EndPeriodic\n")
+    after = held(path)
+    assert after[:4].all()
+    assert not before[1]
+    assert int(after.sum()) == int(before.sum()) + int((~before[:4]).sum())

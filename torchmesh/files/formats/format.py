@@ -30,6 +30,7 @@ class Document:
     repeats_triangles  does it list a triangle once for each group that the triangle is in
     sides              named groups of edges (K, 2), given by their vertices, to which the file refers as sides of
                        elements; these edges must stay
+    tied               vertices that the file pairs with others, so that they must not slide
     by_element         names for what the file says of single elements that a flip leaves without a meaning
     """
 
@@ -39,6 +40,7 @@ class Document:
     rest: Any = None
     repeats_triangles: bool = False
     sides: dict[str, np.ndarray] = field(default_factory=dict)
+    tied: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     by_element: tuple[str, ...] = ()
 
 

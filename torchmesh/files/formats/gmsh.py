@@ -32,13 +32,14 @@ class GmshFormat(Format):
         mesh, file = gmsh_read.read(path)
         if file is None:
             return Document(mesh, self.name)
-        return Document(mesh, self.name, file.binary, file, repeats_triangles=file.version == "2.2")
+        tied = gmsh_read.paired_nodes(file)
+        return Document(mesh, self.name, file.binary, file, repeats_triangles=file.version == "2.2", tied=tied)
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         file = like.rest if like is not None else None
         if file is None or not same_rows:
             binary = like is None or like.binary is None or like.binary
-            mesh, file = new_file(mesh, file.version if file else "4.1", binary, file)
+            mesh, file = new_file(mesh, file.version if file else _version(mesh), binary, file)
         gmsh_write.write(path, mesh, file)
 
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
@@ -55,6 +56,16 @@ class GmshFormat(Format):
         if document.rest is None or (target is self and same_rows):
             return []
         return [f"${name}" for name, _ in document.rest.sections if name not in _KNOWN]
+
+
+def _version(mesh: meshio.Mesh) -> str:
+    """The version of a new file: 4.1, unless only a part of the cells has a physical group.
+
+    Version 4.1 gives groups to entities, and meshio refuses files in which only some have one; 2.2 has 0 for none.
+    """
+    groups = mesh.cell_data.get("gmsh:physical", [])
+    grouped = [bool(values.any()) for values in groups if len(values)]
+    return "2.2" if any(grouped) and not all(bool(values.all()) for values in groups) else "4.1"
 
 
 GMSH = GmshFormat("gmsh", (".msh",), ALL_BUT_POLYGONS, field_data=True)

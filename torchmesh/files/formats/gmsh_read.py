@@ -246,3 +246,36 @@ def _scattered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     out = np.full((count, values.shape[1]), np.nan)
     out[rows] = values
     return out[:, 0] if out.shape[1] == 1 else out
+
+
+def paired_nodes(file: MshFile) -> np.ndarray:
+    """The rows of the nodes that $Periodic pairs with others, each once."""
+    row_of = _RowOf(np.concatenate([b.numbers for b in file.nodes]), "node")
+    found = [np.zeros(0, np.int64)]
+    for section, payload in file.sections:
+        if section == "Periodic":
+            found.append(_periodic_41(payload, file) if file.version == "4.1" else _periodic_22(payload))
+    return np.unique(row_of(np.concatenate(found)))
+
+
+def _periodic_41(payload: bytes, file: MshFile) -> np.ndarray:
+    """The numbers of all nodes in $Periodic of version 4.1."""
+    numbers, count, found = _Numbers(payload, file.binary, "Periodic"), f"u{file.size}", [np.zeros(0, np.int64)]
+    for _ in range(int(numbers.take(1, count)[0])):
+        numbers.take(3, np.int32)  # the dimension and the two entities
+        numbers.take(int(numbers.take(1, count)[0]), float)  # an affine map
+        found.append(numbers.take(2 * int(numbers.take(1, count)[0]), count).astype(np.int64))
+    return np.concatenate(found)
+
+
+def _periodic_22(payload: bytes) -> np.ndarray:
+    """The numbers of all nodes in $Periodic of version 2.2, which is text in binary files, too."""
+    lines = [line.split() for line in payload.decode(errors="replace").splitlines() if line.strip()]
+    found: list[int] = []
+    at = 1
+    for _ in range(int(lines[0][0]) if lines else 0):
+        at += 1 + (lines[at + 1][0] == "Affine")
+        count = int(lines[at][0])
+        found += [int(word) for words in lines[at + 1 : at + 1 + count] for word in words]
+        at += 1 + count
+    return np.array(found, np.int64)

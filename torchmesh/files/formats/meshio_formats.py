@@ -105,6 +105,12 @@ def _inspect_permas(data: bytes) -> None:
         raise ValueError("it does not end with $FIN: truncated")
 
 
+def _inspect_tecplot(data: bytes) -> None:
+    zones = len(re.findall(rb"^[ \t]*ZONE\b", data, re.IGNORECASE | re.MULTILINE))
+    if zones > 1:
+        raise ValueError(f"it has {zones} zones, and only one would come back; give each zone its own file")
+
+
 _TRIANGLES: dict[str, Any] = {"cells": ("triangle",), "point_data": "none", "cell_data": "none"}
 _NO_DATA: dict[str, Any] = {"point_data": "none", "cell_data": "none"}
 _ONE_TAG: dict[str, Any] = {"point_data": "none", "cell_data": "regions"}
@@ -124,7 +130,9 @@ SOLVER_FORMATS = (
     MeshioFormat("permas", (".post", ".dato"), LINEAR, **_NO_DATA, inspect=_inspect_permas),
     MeshioFormat("netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True),
     MeshioFormat("avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material"),
-    MeshioFormat("tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", guarded="text"),
+    MeshioFormat(
+        "tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", guarded="text", inspect=_inspect_tecplot
+    ),
     MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True),
     MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True),
     MeshioFormat("dolfin-xml", (".xml",), **_TRIANGLES),
