@@ -77,6 +77,7 @@ def write_examples(folder: Path) -> None:
     write(folder / "better.vtu", meshes.equilateral())
     points, triangles = plate()
     write(folder / "plate.msh", MeshBatch.from_arrays(points, triangles))
+    write(folder / "plate.inp", MeshBatch.from_arrays(points, triangles))
     on_hole = (np.abs(points - 0.5).max(1) < 0.21)[:, None]
     displacement = on_hole * np.array([[0.1, 0.05, 0.0]])
     meshio.Mesh(points, [("triangle", triangles)], point_data={"displacement": displacement, "u": points[:, 0]}).write(

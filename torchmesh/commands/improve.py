@@ -73,7 +73,7 @@ def improve(
     --boundary slide is given. OUT is written
     in any case, whole; if it still has inverted triangles, standard error says so and the exit status is 1.
 
-    Decks of solvers (Abaqus and CalculiX .inp, Nastran .bdf, Kratos .mdpa, Exodus .e, SU2 with several zones) are
+    Decks of solvers (Abaqus and CalculiX .inp, Nastran .bdf, Kratos .mdpa, Exodus .e) are
     changed in place: moved nodes, flipped elements and the sides that loads act on are written anew, and every other
     line stays. What OUT cannot hold of IN is named on standard error.
     """
