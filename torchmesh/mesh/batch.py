@@ -17,7 +17,15 @@ from torch import Tensor
 from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
 from .ragged import counts_from_offsets, offsets_from_counts, owner_of, rows_of, segment_ids, spread
-from .validation import checked_constraints, checked_fixed, checked_points, checked_triangles, oriented, to_plane
+from .validation import (
+    checked_constraints,
+    checked_fixed,
+    checked_points,
+    checked_positions,
+    checked_triangles,
+    to_plane,
+)
+from .winding import oriented
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +70,7 @@ class MeshBatch:
         """
         xyz = checked_points(points)
         faces = checked_triangles(triangles, len(xyz)).to(xyz.device)
+        xyz = checked_positions(xyz, faces)
         flat, frame = to_plane(xyz, faces)
         faces, twin = oriented(flat, faces)
         count = len(flat)

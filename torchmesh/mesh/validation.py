@@ -1,7 +1,7 @@
 """What a mesh must be: arrays as people have them, checked and turned into tensors, or refused with the reason."""
 
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -9,12 +9,17 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
-from .ragged import offsets_from_counts, segment_sum
-from .triangle import corners, signed_area
 
 # A vertex may leave the common plane by this part of the mesh's extent: single-precision files
 # of tilted planes are off by a few 1e-7.
 _PLANARITY = 1e-5
+
+# Coordinates up to here have areas that do not overflow.
+_LARGEST = 1e150
+
+# The plane is that of the boundary where other vertices reach this many times as far: the rounding of their coordinates
+# would tilt it by as much.
+_FAR = 16.0
 
 
 def _tensor(values: Any, name: str) -> Tensor:
@@ -45,15 +50,40 @@ def checked_points(points: Any) -> Tensor:
         xyz = xyz.to(torch.float64)
     if len(xyz) == 0:
         raise InvalidMeshError("the mesh is empty: it has no points")
-    bad = ~xyz.isfinite().all(1)
-    if bool(bad.any()):
-        row = _first(bad)
-        raise InvalidMeshError(
-            f"points row {row} is {xyz[row].tolist()}: every coordinate must be finite ({int(bad.sum())} rows are not)"
+    return xyz
+
+
+def checked_positions(xyz: Tensor, faces: Tensor) -> Tensor:
+    """The points (V, 2) or (V, 3) if one can compute with them.
+
+    A vertex of no triangle whose coordinates are not finite, or too large, is put on a vertex that has one, with a
+    MeshWarning.
+    """
+    unfit = ~(xyz.abs() <= _LARGEST).all(1)
+    if bool(unfit.any()):
+        used = torch.zeros(len(xyz), dtype=torch.bool, device=xyz.device)
+        used[faces.reshape(-1)] = True
+        bad = unfit & used
+        if bool(bad.any()):
+            row = _first(bad)
+            if bool(xyz[bad].isfinite().all()):
+                raise InvalidMeshError(
+                    f"points row {row} is {xyz[row].tolist()}: areas beyond 1e150 squared overflow; rescale"
+                )
+            bad = used & ~xyz.isfinite().all(1)
+            row = _first(bad)
+            raise InvalidMeshError(
+                f"points row {row} is {xyz[row].tolist()}: every coordinate must be finite "
+                f"({int(bad.sum())} rows are not)"
+            )
+        warnings.warn(
+            MeshWarning(
+                f"points row {_first(unfit)} is {xyz[_first(unfit)].tolist()}, but belongs to no triangle: it is put "
+                f"on vertex {int(faces[0, 0])} ({int(unfit.sum())} rows are)"
+            ),
+            stacklevel=3,
         )
-    if float(xyz.abs().max()) > 1e150:
-        row = int(xyz.abs().amax(1).argmax())
-        raise InvalidMeshError(f"points row {row} is {xyz[row].tolist()}: areas beyond 1e150 squared overflow; rescale")
+        xyz = torch.where(unfit[:, None], xyz[faces[0, 0]], xyz)
     extent = float((xyz.amax(0).double() - xyz.amin(0).double()).max())
     if 0 < extent < 1e-150:
         raise InvalidMeshError(f"the mesh is {extent:.3g} wide: areas of less than 1e-300 underflow; rescale")
@@ -61,26 +91,35 @@ def checked_points(points: Any) -> Tensor:
 
 
 def checked_triangles(triangles: Any, vertices: int) -> Tensor:
-    faces = _tensor(triangles, "triangles")
-    if faces.numel() == 0:
+    faces = checked_faces(triangles, vertices, 3, "triangles")
+    if len(faces) == 0:
         raise InvalidMeshError("the mesh is empty: it has no triangles")
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise InvalidMeshError(f"triangles must have shape (T, 3), not {tuple(faces.shape)}")
-    if faces.dtype == torch.bool or faces.is_floating_point() or faces.is_complex():
-        raise InvalidMeshError(f"triangles must be integers (rows of points), not {faces.dtype}")
-    faces = faces.to(torch.int64)
-    outside = ((faces < 0) | (faces >= vertices)).any(1)
-    if bool(outside.any()):
-        row = _first(outside)
-        raise InvalidMeshError(
-            f"triangles row {row} is {faces[row].tolist()}: rows of points run from 0 to {vertices - 1}"
-        )
     a, b, c = faces.unbind(1)
     repeated = (a == b) | (b == c) | (c == a)
     if bool(repeated.any()):
         row = _first(repeated)
         raise InvalidMeshError(
-            f"triangles row {row} is {faces[row].tolist()}: a triangle needs three different vertices"
+            f"triangles row {row} is {faces[row].tolist()}: a triangle needs three different vertices; "
+            "torchmesh clean IN OUT (tm.clean) mends this"
+        )
+    return faces
+
+
+def checked_faces(given: Any, vertices: int, corners: int, name: str) -> Tensor:
+    """(N, corners) int64 rows of `vertices` points; `name` is what errors call them."""
+    faces = _tensor(given, name)
+    if faces.numel() == 0:
+        return torch.zeros((0, corners), dtype=torch.int64)
+    if faces.ndim != 2 or faces.shape[1] != corners:
+        raise InvalidMeshError(f"{name} must have shape ({name[0].upper()}, {corners}), not {tuple(faces.shape)}")
+    if faces.dtype == torch.bool or faces.is_floating_point() or faces.is_complex():
+        raise InvalidMeshError(f"{name} must be integers (rows of points), not {faces.dtype}")
+    faces = faces.to(torch.int64)
+    outside = ((faces < 0) | (faces >= vertices)).any(1)
+    if bool(outside.any()):
+        row = _first(outside)
+        raise InvalidMeshError(
+            f"{name} row {row} is {faces[row].tolist()}: rows of points run from 0 to {vertices - 1}"
         )
     return faces
 
@@ -129,110 +168,72 @@ def to_plane(xyz: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """(V, 2) coordinates in the plane of the points, and that plane (3, 3): origin, x and y axis.
 
     A plane of constant z keeps its x and y to the bit and is seen from above; any other is seen
-    from the side on which most of the area runs counter-clockwise.
+    from the side on which most of the area runs counter-clockwise.  Vertices far outside the boundary do not tilt it.
     """
     frame = torch.eye(3, dtype=torch.float64, device=xyz.device).roll(1, 0)
     frame[0] = 0
     if xyz.shape[1] == 2:
         return xyz.contiguous(), frame
-    frame[0, 2] = xyz[0, 2]
-    if bool((xyz[:, 2] == xyz[0, 2]).all()):
+    z = xyz[faces.reshape(-1), 2]
+    frame[0, 2] = z[0]
+    if bool((z == z[0]).all()):
         return xyz[:, :2].contiguous(), frame
     wide = xyz.to(torch.float64)
-    low, high = wide.amin(0), wide.amax(0)
-    extent = float((high - low).max())
-    origin = low + (wide - low).mean(0)
-    centred = (wide - origin) / extent
-    axes = torch.linalg.svd(centred.T @ centred)[2]
-    x_axis, normal = axes[0], axes[2]
-    a, b, c = centred[faces].unbind(1)
-    if float(torch.linalg.cross(b - a, c - a).sum(0) @ normal) < 0:
-        normal = -normal
-    y_axis = torch.linalg.cross(normal, x_axis)
-    height = (centred @ normal).abs()
+    used = torch.zeros(len(xyz), dtype=torch.bool, device=xyz.device)
+    used[faces.reshape(-1)] = True
+    plane = _plane(wide, wide, faces)
+    if bool((plane.height > _PLANARITY).any()) and not bool(used.all()):
+        plane = _plane(wide, wide[used], faces)
+    height = plane.height * used
     if float(height.max()) > _PLANARITY:
         row = int(height.argmax())
         raise InvalidMeshError(
-            f"points row {row} is {xyz[row].tolist()}: it lies {float(height.max()) * extent:.3g} off the plane of "
-            "the others; torchmesh improves planar meshes"
+            f"points row {row} is {xyz[row].tolist()}: it lies {float(height.max()) * plane.extent:.3g} off the plane "
+            "of the others; torchmesh improves planar meshes"
         )
+    return plane.flat.to(xyz.dtype), plane.frame
+
+
+class _Plane(NamedTuple):
+    """A plane through points: coordinates (V, 2) in it, origin and axes (3, 3), heights (V,) over it, in extents."""
+
+    flat: Tensor
+    frame: Tensor
+    height: Tensor
+    extent: float
+
+
+def _plane(wide: Tensor, seen: Tensor, faces: Tensor) -> _Plane:
+    """The plane of the points `seen` (N, 3) of a mesh `wide` (V, 3); of its boundary, where others lie far outside."""
+    edges, times = _open_edges(faces, len(wide))
+    boundary = wide[edges.reshape(-1).unique()]
+    if len(edges) and _FAR * _extent(boundary) < _extent(seen):
+        seen = boundary
+    low, extent = seen.amin(0), _extent(seen)
+    origin = low + (seen - low).mean(0)
+    centred = (wide - origin) / extent
+    about = centred if seen is wide else (seen - origin) / extent
+    axes = torch.linalg.svd(about.T @ about)[2]
+    x_axis, normal = axes[0], axes[2]
+    # Twice the area that the boundary encloses, as a vector.
+    turn = times[:, None] * torch.linalg.cross(centred[edges[:, 0]], centred[edges[:, 1]])
+    if float(turn.sum(0) @ normal) < 0:
+        normal = -normal
+    y_axis = torch.linalg.cross(normal, x_axis)
     flat = torch.stack([centred @ x_axis, centred @ y_axis], 1) * extent
-    return flat.to(xyz.dtype), torch.stack([origin, x_axis, y_axis])
+    height = (centred @ normal).abs() / max(1.0, _extent(about if seen is wide else centred))
+    return _Plane(flat, torch.stack([origin, x_axis, y_axis]), height, extent)
 
 
-def oriented(points: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Triangles with consistent counter-clockwise winding, and their twins.
-
-    Winding is topology (do neighbours run along their edge in opposite directions), inversion is
-    geometry (is the area negative): a component is turned as a whole, by the sign of the area
-    that its boundary encloses, so inverted triangles stay inverted.
-    """
-    vertices = len(points)
-    u, v = connectivity.tails(faces), connectivity.heads(faces)
-    keys, order = connectivity.edge_keys(u, v, vertices).sort(stable=True)
-    same = keys[1:] == keys[:-1]
-    thrice = same[1:] & same[:-1]
-    if bool(thrice.any()):
-        first = _first(thrice)
-        rows = sorted((order[first : first + 3] // 3).tolist())
-        h = order[first]
-        raise InvalidMeshError(
-            f"triangles rows {rows[0]}, {rows[1]} and {rows[2]} share the edge {[int(u[h]), int(v[h])]}: "
-            "an edge may have two triangles at most"
-        )
-    pairs = same.nonzero().squeeze(1)
-    left, right = order[pairs], order[pairs + 1]
-    clash = u[left] == u[right]
-    twin = torch.full_like(u, -1)
-    twin[left], twin[right] = right, left
-    component = connectivity.triangle_components(faces, twin)
-    turn = torch.zeros(len(faces), dtype=torch.bool, device=faces.device)
-    if bool(clash.any()):
-        turn = _winding_repair(len(faces), left // 3, right // 3, clash)
-        still = turn[left // 3] ^ turn[right // 3] ^ clash
-        if bool(still.any()):
-            raise InvalidMeshError(
-                f"triangles row {int(left[_first(still)] // 3)} closes a loop of triangles that cannot be wound "
-                "consistently (a Moebius strip): not a planar mesh"
-            )
-    area = signed_area(corners(points.to(torch.float64) - points[0].to(torch.float64), faces))
-    area = torch.where(turn, -area, area)
-    order = component.argsort(stable=True)
-    sizes = torch.bincount(component)
-    enclosed = segment_sum(area[order], offsets_from_counts(sizes))
-    turn = turn ^ (enclosed < 0)[component]
-    if not bool(turn.any()):
-        return faces, twin
-    turned = int(turn.sum())
-    if turned == len(faces):
-        warnings.warn(MeshWarning("all triangles were wound clockwise; they were turned"), stacklevel=3)
-    else:
-        warnings.warn(
-            MeshWarning(f"{turned} of {len(faces)} triangles were wound against their neighbours; they were turned"),
-            stacklevel=3,
-        )
-    faces = torch.where(turn[:, None], faces.flip(1), faces)
-    return faces, connectivity.twins(faces)
+def _extent(points: Tensor) -> float:
+    """The largest side of the box around the points (N, 3)."""
+    return float((points.amax(0) - points.amin(0)).max())
 
 
-def _winding_repair(count: int, left: Tensor, right: Tensor, clash: Tensor) -> Tensor:
-    """(T,) bool: which triangles to turn so that neighbours agree, walking out from one per component."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import breadth_first_order, connected_components
-
-    i, j, k = left.cpu().numpy(), right.cpu().numpy(), clash.cpu().numpy()
-    data = np.where(k, 2, 1).astype(np.int8)
-    graph = coo_matrix((np.r_[data, data], (np.r_[i, j], np.r_[j, i])), shape=(count, count)).tocsr()
-    # Two triangles that share two edges sum their entries; either edge tells the same.
-    graph.data = np.where(graph.data % 2 == 0, 2, 1).astype(np.int8)
-    turn = np.zeros(count, bool)
-    starts = np.unique(connected_components(graph, directed=False)[1], return_index=True)[1]
-    for start in starts:
-        order, before = breadth_first_order(graph, start, directed=False)
-        relation = np.asarray(graph[order[1:], before[order[1:]]]).ravel() == 2
-        for child, differs in zip(order[1:].tolist(), relation.tolist(), strict=True):
-            turn[child] = turn[before[child]] ^ differs
-        members = order
-        if 2 * turn[members].sum() > len(members):
-            turn[members] = ~turn[members]
-    return torch.from_numpy(turn).to(left.device)
+def _open_edges(faces: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
+    """(E, 2) the edges along which triangles run more often one way than the other, and (E,) how much more often."""
+    tails, heads = connectivity.tails(faces), connectivity.heads(faces)
+    keys, edge = connectivity.edge_keys(tails, heads, vertices).unique(return_inverse=True)
+    times = torch.zeros_like(keys).index_add_(0, edge, (tails < heads).to(torch.int64) * 2 - 1)
+    keys, times = keys[times != 0], times[times != 0]
+    return torch.stack([keys // vertices, keys % vertices], 1), times.to(torch.float64)
