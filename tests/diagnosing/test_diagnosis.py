@@ -1,5 +1,6 @@
 import dataclasses
 
+import cracks
 import numpy as np
 import pytest
 import torch
@@ -7,6 +8,8 @@ import torch
 from torchmesh.diagnosing.diagnosis import ProblemKind, diagnose
 from torchmesh.improving.pipeline import improve
 from torchmesh.mesh.batch import MeshBatch, join
+from torchmesh.mesh.measure import quality
+from torchmesh.status import Status
 from torchmesh.triangulating import crossings
 
 
@@ -366,7 +369,7 @@ def test_as_many_problems_of_a_kind_as_asked_for_however_many_there_are():
 
 
 @pytest.mark.parametrize("keep", ["keep", "flip"])
-def test_slits_are_sewn_up_and_other_problems_told_all_the_same(keep):
+def test_slits_are_no_problem_and_other_problems_told_all_the_same(keep):
     mesh = slit(8)
     points = mesh.points.clone()
     points[(~mesh.fixed).nonzero().squeeze(1)[::3]] += 0.4
@@ -411,3 +414,74 @@ def test_tangles_beside_a_slit_are_untangled(seed):
     after, report = improve(mesh.with_points(torch.where(free, mesh.points + throw, mesh.points)))
     assert report.certified.tolist() == [True]
     assert torch.equal(after.points[mesh.fixed], mesh.points[mesh.fixed])
+
+
+@pytest.mark.parametrize("handles", [1, 2])
+def test_a_surface_with_handles_is_named_at_once(handles):
+    """Tori of 6 x 6 cells, each but the first sewn into a hole of the one before, with one hole left."""
+    count = 6
+    triangles = []
+    for k in range(handles):
+        for i, j in np.ndindex(count, count):
+            a, b, c, d = (
+                36 * k + (i + p) % count * count + (j + q) % count for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))
+            )
+            triangles += [(a, b, c), (a, c, d)]
+    # Two cells that are far apart go: one is left open, the other is where the next torus is sewn in.
+    gone = {(0, 6, 7), (0, 7, 1)}
+    if handles == 2:
+        gone |= {(21, 27, 28), (21, 28, 22), (36 + 21, 36 + 27, 36 + 28), (36 + 21, 36 + 28, 36 + 22)}
+    triangles = [t for t in triangles if t not in gone]
+    sewn = {36 + 21: 21, 36 + 27: 22, 36 + 28: 28, 36 + 22: 27} if handles == 2 else {}
+    triangles = np.array([[sewn.get(v, v) for v in t] for t in triangles])
+    used, triangles = np.unique(triangles, return_inverse=True)
+    triangles = triangles.reshape(-1, 3)
+    points = np.random.default_rng(0).random((len(used), 2)) + 1
+    points[np.searchsorted(used, [0, 6, 7, 1])] = [[0, 0], [0, 3], [3, 3], [3, 0]]
+    mesh = MeshBatch.from_arrays(points, triangles)
+    for topology in ("flip", "keep"):
+        problems = diagnose(mesh, topology)
+        assert kinds(problems) == {ProblemKind.NOT_PLANE}
+        assert f"{handles} handle" in problems[0].message
+    _, report = improve(mesh)
+    assert report.status.tolist() == [Status.INFEASIBLE]
+    assert "handle" in report.messages[0]
+
+
+def test_a_disc_joined_to_itself_in_a_vertex_is_named():
+    points, triangles, index = grid(6)
+    inner, corner = int(index[3, 3]), int(index[0, 0])
+    triangles = np.where(triangles == inner, corner, triangles)
+    triangles -= triangles > inner
+    problems = diagnose(MeshBatch.from_arrays(np.delete(points, inner, 0), triangles))
+    assert kinds(problems) == {ProblemKind.NOT_PLANE}
+    assert problems[0].vertices == (corner,)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_boundaries_that_touch_themselves_are_no_problem(seed):
+    rng = np.random.default_rng(seed)
+    meshes = [cracks.two_lips(rng), cracks.crack(rng), cracks.crack(rng, kinked=True), cracks.walk(rng)]
+    for points, triangles in meshes:
+        mesh = MeshBatch.from_arrays(points, triangles)
+        assert int(quality(mesh).inverted[0]) > 0, "a valid mesh is never looked at"
+        assert diagnose(mesh) == []
+
+
+def test_a_boundary_edge_of_no_length_is_impossible():
+    points, triangles, index = grid(4)
+    points[index[4, 2]] = points[index[4, 3]]
+    points[index[2, 2]] += 0.4
+    problems = diagnose(MeshBatch.from_arrays(points, triangles))
+    assert kinds(problems) == {ProblemKind.DUPLICATE_VERTICES}
+    assert "torchmesh clean" in problems[0].message
+
+
+def test_vertices_of_a_crack_in_place_of_a_fixed_inner_one_are_told():
+    points, triangles = cracks.two_lips(np.random.default_rng(0), flips=0)
+    points[9] = points[8]
+    fixed = np.zeros(10, bool)
+    fixed[9] = True
+    problems = diagnose(MeshBatch.from_arrays(points, triangles, fixed))
+    assert kinds(problems) == {ProblemKind.DUPLICATE_VERTICES}
+    assert problems[0].vertices == (8, 9)

@@ -1,15 +1,18 @@
 """Cavities are re-triangulated into valid meshes, whatever lies in them; what is impossible is said."""
 
+import cracks
 import numpy as np
 import pytest
 import torch
 from cavities import edge_set, grid, make, region_mesh, whole
+from exact import edge_counts, inverted
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from judges import assert_every_row_stays
 from scipy.spatial import Delaunay
 
 from torchmesh.errors import InvalidMeshError
-from torchmesh.mesh.batch import join
+from torchmesh.mesh.batch import MeshBatch, join
 from torchmesh.untangling import cavity as cavity_module
 from torchmesh.untangling.retriangulation import retriangulate, untangle_by_retriangulation
 
@@ -382,3 +385,26 @@ def test_same_answer_every_time():
     one, two = (untangle_by_retriangulation(mesh).mesh for _ in range(2))
     assert torch.equal(one.triangles, two.triangles)
     assert torch.equal(one.points, two.points)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_boundaries_that_touch_themselves(seed):
+    """Cracks with lips of their own division, joined across by edges, and snakes that touch themselves."""
+    rng = np.random.default_rng(seed)
+    made = [cracks.two_lips(rng), cracks.crack(rng), cracks.crack(rng, kinked=True), cracks.walk(rng)]
+    for points, triangles in made:
+        mesh = MeshBatch.from_arrays(points, triangles)
+        result = untangle_by_retriangulation(mesh)
+        assert result.ok, result.reason
+        assert inverted(mesh) > 0
+        assert_every_row_stays(mesh, result.mesh)
+
+
+def test_constrained_edges_beside_a_crack_survive():
+    points, triangles = cracks.two_lips(np.random.default_rng(0), flips=0)
+    points[9] = [1.8, 0.1]
+    mesh = MeshBatch.from_arrays(points, triangles, constrained_edges=[[6, 0], [8, 2]])
+    result = untangle_by_retriangulation(mesh)
+    assert result.ok, result.reason
+    assert inverted(result.mesh) == 0
+    assert {frozenset((0, 6)), frozenset((2, 8))} <= set(edge_counts(result.mesh.triangles))

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ..mesh.batch import MeshBatch
-from .meetings import crossings, duplicates
+from .meetings import crossings, duplicates, overlaps, wrong_touchings
 from .nesting import nestings
 from .polygon_kernel import inverted_fixed_triangles, vertices_without_kernel
 from .problems import Finding, Problem, ProblemKind, position_of, text_of
@@ -25,16 +25,17 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
     topology  "flip": triangles may change.  If no problem is found, `untangle_by_retriangulation` can repair
-              the mesh, rounding permitting, except cavities with a slit in them.  "keep": triangles stay, so
+              the mesh, rounding permitting.  "keep": triangles stay, so
               the obstructions that moving free vertices cannot mend are told, too.  These are not all
               obstructions there are: a mesh without a problem may still have no valid positions
     most      how many problems of one kind are told of one mesh
 
     A mesh, or a piece of it, that has no inverted triangle is valid, and nothing is said of it.
-    Slits of no width are allowed: two stretches of boundary that lie on each other, edge by edge, are
-    taken as sewn up, and the vertices in a message are the first ones in their position.
+    A boundary may touch itself, in vertices or along edges, with vertices of its own on each side, as
+    a crack does; the vertices in a message are then the first ones in their position.
     Pieces of a mesh that no edge joins may lie over each other.  Loops may share vertices.  How loops
-    lie is looked at only in meshes whose edges do not cross.  Signs are exact.
+    lie, and whether the triangles are as many as a plane mesh of these vertices has, is looked at only in
+    meshes whose edges do not cross.  Signs are exact.
 
     Raises ValueError for another `topology`.
     """
@@ -53,25 +54,39 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
     return problems
 
 
-def _of_one(mesh: MeshBatch, keep: bool, most: int, sew: bool = True) -> list[Finding]:
-    """The problems of one mesh; `keep` and `sew` as in `Walls.of`."""
-    walls = Walls.of(mesh, keep, sew)
+def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[Finding]:
+    """The problems of one mesh; `keep` as in `Walls.of`."""
+    walls = Walls.of(mesh, keep)
     if walls is None:
         return []
+    found = _meetings(walls, keep, most)
+    if not found:
+        return list(nestings(walls, keep))
+    if all(finding.kind in (ProblemKind.FIXED_TRIANGLE, ProblemKind.NO_KERNEL) for finding in found):
+        return found
+    # A boundary that touches itself, and does not cross itself, is no problem as such.
+    flat, boundary = walls.in_plane()
+    left = _meetings(flat, keep, most) + _first(overlaps(walls, boundary), most)
+    if left:
+        return left
+    left = list(nestings(flat, keep))
+    assert flat.doubled is not None
+    if any(f.kind is ProblemKind.VERTEX_OUTSIDE and flat.doubled[f.vertices[0]] for f in left):
+        # Where stretches of boundary lie on each other, no domain is on both sides: they are told.
+        return found
+    told = [finding for finding in left if finding.kind is not ProblemKind.NOT_PLANE]
+    return told or _first(wrong_touchings(walls, boundary), most) or left
+
+
+def _meetings(walls: Walls, keep: bool, most: int) -> list[Finding]:
+    """What meets that should not, and, with `keep`, what stands in the way of the triangles; of each kind `most`."""
     found = _first(duplicates(walls), most)
     edges, kind = walls.ends[walls.once], walls.kind[walls.once]
     if keep:
         found += _obstructions(walls, most)
         if found and len(edges) > _MANY:
             edges, kind = edges[kind != HELD], kind[kind != HELD]
-    found += crossings(walls, edges, kind, most)
-    if found:
-        return found
-    found = list(nestings(walls, keep))
-    if walls.sewn and {finding.kind for finding in found} == {ProblemKind.VERTEX_OUTSIDE}:
-        # What looked like a slit is a hole, say, with a side on the boundary: it is told as such.
-        return _of_one(mesh, keep, most, sew=False)
-    return found
+    return found + crossings(walls, edges, kind, most)
 
 
 def _first(found: Iterable[Finding], most: int) -> list[Finding]:

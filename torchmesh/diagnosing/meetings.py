@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..triangulating.crossings import crossing_pairs
+from ..triangulating.touching import PlaneBoundary, first_in_position, wrong_turns
 from .problems import Finding, ProblemKind, position_of, text_of
 from .walls import Walls
 
@@ -62,6 +63,40 @@ def crossings(walls: Walls, edges: np.ndarray, kind: np.ndarray, most: int) -> l
     return found
 
 
+def overlaps(walls: Walls, plane: PlaneBoundary) -> Iterator[Finding]:
+    """Walls of no length, and boundary edges that lie on each other with the domain on one side.
+
+    walls  as they are
+    plane  their boundary, which touches itself, as of `Walls.in_plane`
+    """
+    points, ends = walls.points, walls.ends[walls.once]
+    for u, v in np.sort(ends[(points[ends[:, 0]] == points[ends[:, 1]]).all(1)], 1).tolist():
+        place = position_of(points[u])
+        text = f"vertices {u} and {v} are both at {text_of(place)}, with an edge between them that must stay "
+        text += "(torchmesh clean mends this on a boundary)"
+        yield Finding(ProblemKind.DUPLICATE_VERTICES, text, (u, v), place)
+    for a, b in walls.ends[walls.alone][plane.twice].tolist():
+        place = position_of(points[a] + (points[b] - points[a]) / 2)
+        text = f"the boundary edge [{a}, {b}] lies on the same side of another at about {text_of(place)}"
+        yield Finding(ProblemKind.BOUNDARY_CROSSING, text, (a, b), place)
+
+
+def wrong_touchings(walls: Walls, plane: PlaneBoundary) -> Iterator[Finding]:
+    """Where a boundary that meets itself in vertices only crosses itself there; arguments as of `overlaps`."""
+    points, edges = walls.points, walls.ends[walls.alone]
+    for p in wrong_turns(points, plane) if plane.sound else []:
+        place = position_of(points[p])
+        here = np.flatnonzero(plane.first[plane.stops] == p)
+        if len(here):
+            a, b = edges[plane.parted[here[0]]].tolist()
+            text = f"the boundary vertex {p} touches the boundary edge [{a}, {b}] from inside at {text_of(place)}"
+            yield Finding(ProblemKind.BOUNDARY_CROSSING, text, (p, a, b), place)
+        else:
+            u, v = np.flatnonzero((plane.first == p) & walls.used)[:2].tolist()
+            text = f"the boundary crosses itself at vertices {u} and {v}, which are both at {text_of(place)}"
+            yield Finding(ProblemKind.BOUNDARY_CROSSING, text, (u, v), place)
+
+
 def _segments(walls: Walls, edges: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(S, 2) the ends of what may meet as they are called, (S, 2) the same with one name a position, (S,) the kind.
 
@@ -70,7 +105,7 @@ def _segments(walls: Walls, edges: np.ndarray, kind: np.ndarray) -> tuple[np.nda
     """
     single = walls.fixed.copy()
     single[edges] = False
-    first = _first_in_position(walls.points, walls.piece, np.flatnonzero(walls.fixed))
+    first = first_in_position(walls.points, np.flatnonzero(walls.fixed), walls.piece)
     alone = np.repeat(np.flatnonzero(single & (first == np.arange(len(first)))), 2).reshape(-1, 2)
     given, segments = np.concatenate([edges, alone]), np.concatenate([first[edges], alone])
     kind = np.concatenate([kind, np.full(len(alone), _SINGLE)])
@@ -78,17 +113,6 @@ def _segments(walls: Walls, edges: np.ndarray, kind: np.ndarray) -> tuple[np.nda
     _, rows = np.unique(segments.min(1) * len(first) + segments.max(1), return_index=True)
     rows = np.sort(rows[proper[rows]])
     return given[rows], segments[rows], kind[rows]
-
-
-def _first_in_position(points: np.ndarray, piece: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(V,) for the vertices `rows` the first of them in the same position of the same piece, for others themselves."""
-    first = np.arange(len(points))
-    rows = rows[np.lexsort((rows, points[rows, 1], points[rows, 0], piece[rows]))]
-    if len(rows):
-        new = (points[rows[1:]] != points[rows[:-1]]).any(1) | (piece[rows[1:]] != piece[rows[:-1]])
-        starts = np.concatenate([[True], new])
-        first[rows] = rows[starts][np.cumsum(starts) - 1]
-    return first
 
 
 def _meeting_position(points: np.ndarray, one: tuple[int, int], two: tuple[int, int]) -> tuple[float, float]:

@@ -7,7 +7,7 @@ import numpy as np
 from ..triangulating.arrays import among, distinct
 from ..triangulating.polygon import loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
 from .problems import Finding, ProblemKind, position_of, text_of
-from .walls import Walls
+from .walls import BOUNDARY, Walls
 
 
 def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
@@ -39,8 +39,72 @@ def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
             v = int(faces[of_face == region][0, 0])
             text = f"the triangles around vertex {v} close up as on a sphere: they have no boundary"
             yield Finding(ProblemKind.NO_AREA, text, (v,), position_of(walls.points[v]))
-        elif len(rows) > 1 or turn[rows[0]] <= 0 or region in by_region:
-            yield from _nesting(walls.points, [loops[i] for i in rows], turn[rows], by_region.get(region, inside[:0]))
+            continue
+        found: list[Finding] = []
+        if len(rows) > 1 or turn[rows[0]] <= 0 or region in by_region:
+            mine_inside = by_region.get(region, inside[:0])
+            found = list(_nesting(walls.points, [loops[i] for i in rows], turn[rows], mine_inside))
+        yield from found or _surface(walls, region, edges[of_edge == region])
+
+
+def _surface(walls: Walls, region: int, edges: np.ndarray) -> Iterator[Finding]:
+    """Is the region a part of the plane, where its loops are sound?
+
+    edges  (E, 2) its boundary but for stretches that lie on each other
+
+    A plane mesh of these vertices with this boundary has, by Euler's formula, 2 I + E - 4 + 2 C triangles: I vertices
+    are inside, E edges bound it, and its boundary has C components.  Whatever the triangles are, there are no others.
+    """
+    of_region = walls.region == region
+    faces = walls.triangles[of_region]
+    doubled = (walls.own == region) & (walls.other == region) & ~walls.alone & (walls.kind == BOUNDARY)
+    bounds = np.concatenate([edges, walls.ends[doubled]])
+    inner = np.zeros(len(walls.points), bool)
+    inner[faces] = True
+    inner[bounds] = False
+    needed = 2 * int(inner.sum()) + int(walls.sides[region]) - 4 + 2 * _components(bounds)
+    if len(faces) == needed:
+        return
+    v = _pinched(faces, bounds)
+    if v is not None:
+        place = position_of(walls.points[v])
+        text = f"the triangles at vertex {v} at {text_of(place)} close around it, and others end there at the boundary"
+    else:
+        v = int(faces[0, 0])
+        place = position_of(walls.points[v])
+        text = f"the {len(faces)} triangles around vertex {v} form a surface that is no part of a plane"
+        if (len(faces) - needed) % 4 == 0 and len(faces) > needed:
+            handles = (len(faces) - needed) // 4
+            text += f": it has {handles} handle{'s' * (handles > 1)}, as a torus has"
+    text += f" (a plane mesh with these vertices and this boundary has {needed} triangles, not {len(faces)})"
+    yield Finding(ProblemKind.NOT_PLANE, text, (v,), place)
+
+
+def _components(edges: np.ndarray) -> int:
+    """The number of components of the graph with these edges (E, 2)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    names, ends = np.unique(edges, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    graph = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(len(names), len(names)))
+    return int(connected_components(graph, directed=False)[0])
+
+
+def _pinched(faces: np.ndarray, bounds: np.ndarray) -> int | None:
+    """A vertex on the boundary around which some of the triangles (T, 3) close; None if there is none."""
+    for v in distinct(bounds).tolist():
+        onward: dict[int, int] = {}
+        for row in faces[(faces == v).any(1)].tolist():
+            k = row.index(v)
+            onward[row[(k + 1) % 3]] = row[(k + 2) % 3]
+        for begin in list(onward):
+            at = onward.pop(begin, None)
+            while at is not None and at != begin:
+                at = onward.pop(at, None)
+            if at == begin:
+                return int(v)
+    return None
 
 
 def _fixed_inside(

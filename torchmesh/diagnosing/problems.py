@@ -17,6 +17,7 @@ class ProblemKind(str, Enum):
     HOLE_INSIDE_OUT = "a hole is inside out"
     HOLE_OUTSIDE = "a hole lies outside the outer loop or in another hole"
     VERTEX_OUTSIDE = "a fixed vertex lies outside its region or on an edge"
+    NOT_PLANE = "the triangles form a surface that is no part of a plane"
     FIXED_TRIANGLE = "a triangle of three fixed vertices is inverted or flat"
     FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
     NO_KERNEL = "the fixed ring round a free vertex leaves it no place"

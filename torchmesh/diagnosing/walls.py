@@ -1,13 +1,13 @@
 """The pieces of a mesh that are not valid, and the edges that triangles cannot lie across.
 
-o-----------o     boundary    an edge with a triangle on one side only, or a slit that is sewn up
+o-----------o     boundary    an edge with a triangle on one side only
 | \\  A  /   |     constraint  a constrained edge inside
 |   o   B   |     held        an edge between two fixed vertices, when the triangles are to stay
 | /         |     A, B        regions, closed off by such edges
 o-----------o
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..triangulating.arrays import signs
-from .slits import sewing
+from ..triangulating.touching import PlaneBoundary, plane_boundary
 
 BOUNDARY, CONSTRAINT, HELD = range(3)
 
@@ -26,10 +26,9 @@ class Walls:
     """The pieces of one mesh that have an inverted triangle, and the half-edges along their boundary and walls.
 
     points     (V, 2) float64
-    triangles  (T, 3) int64 the triangles of these pieces; where a slit is sewn up, each of its vertices has
-               the row of the first vertex in its position
+    triangles  (T, 3) int64 the triangles of these pieces
     region     (T,) int64 the region of each triangle, numbered by first triangles
-    piece      (V,) int64 the piece of each vertex, as it was before sewing
+    piece      (V,) int64 the piece of each vertex
     used       (V,) bool, corners of the triangles
     fixed      (V,) bool, those of them that are fixed
     ends       (H, 2) int64 tail and head of each half-edge on the boundary or a wall
@@ -37,7 +36,8 @@ class Walls:
     once       (H,) bool, one half-edge of each edge
     alone      (H,) bool, no triangle lies on the other side
     own, other (H,) int64 the regions on the left and on the right; where a half-edge is alone, `other` means nothing
-    sewn       is there a slit that was sewn up
+    sides      (R,) int64 half-edges of the mesh on the boundary of each region
+    doubled    (V,) bool, vertices on stretches of boundary that lie on each other; None: nobody has looked
     """
 
     points: np.ndarray
@@ -52,14 +52,14 @@ class Walls:
     alone: np.ndarray
     own: np.ndarray
     other: np.ndarray
-    sewn: bool
+    sides: np.ndarray
+    doubled: np.ndarray | None = None
 
     @classmethod
-    def of(cls, mesh: MeshBatch, keep: bool, sew: bool) -> "Walls | None":
+    def of(cls, mesh: MeshBatch, keep: bool) -> "Walls | None":
         """The walls of one mesh; None if all of its triangles are upright.
 
         keep  are the triangles to stay, so that edges between fixed vertices are walls, too
-        sew   are slits to be sewn up
         """
         points = mesh.points.detach().to("cpu", torch.float64).numpy()
         count = len(points)
@@ -69,27 +69,18 @@ class Walls:
         piece = np.zeros(count, np.int64)
         piece[triangles.numpy()] = label.numpy()[:, None]
         constraints, held = mesh.constrained_edges.cpu(), mesh.fixed.cpu()
-        slit = torch.zeros_like(twin, dtype=torch.bool)
-        name = None
-        if sew:
-            boundary = connectivity.boundary_edges(triangles, twin)
-            name = sewing(points, triangles.numpy(), boundary.numpy(), piece)
-        if name is not None:
-            first = torch.from_numpy(name)
-            triangles, constraints = first[triangles], first[constraints]
-            slit, twin = twin < 0, connectivity.twins(triangles)
-            slit &= twin >= 0
-            label = connectivity.triangle_components(triangles, twin)
         tails, heads = connectivity.tails(triangles), connectivity.heads(triangles)
         inner = twin >= 0
-        wall = slit | (connectivity.half_edges_on(triangles, constraints, count) & inner)
+        wall = connectivity.half_edges_on(triangles, constraints, count) & inner
         parted = wall | (held[tails] & held[heads] & inner) if keep else wall
         region = connectivity.triangle_components(triangles, twin, parted) if bool(parted.any()) else label
         h = (~inner | parted).nonzero().squeeze(1)
         across = twin[h]
-        kind = torch.where((across < 0) | slit[h], BOUNDARY, torch.where(wall[h], CONSTRAINT, HELD))
+        kind = torch.where(across < 0, BOUNDARY, torch.where(wall[h], CONSTRAINT, HELD))
         used = np.zeros(count, bool)
         used[triangles.numpy()] = True
+        own, other = region[h // 3], region[torch.where(across < 0, h, across) // 3]
+        sides = torch.bincount(own[(across < 0) | (own != other)], minlength=int(region.max()) + 1)
         return cls(
             points,
             triangles.numpy(),
@@ -101,10 +92,43 @@ class Walls:
             kind.numpy(),
             ((across < 0) | (h < across)).numpy(),
             (across < 0).numpy(),
-            region[h // 3].numpy(),
-            region[torch.where(across < 0, h, across) // 3].numpy(),
-            name is not None,
+            own.numpy(),
+            other.numpy(),
+            sides.numpy(),
         )
+
+    def in_plane(self) -> "tuple[Walls, PlaneBoundary]":
+        """The same where boundaries touch themselves: vertices of a piece in one position are one, edges are parted.
+
+        What is left are walls that meet in common vertices only; two stretches of boundary that lie on each other have
+        triangles on both sides.  Edges that cross stay as they are.  The boundary is returned, too, with the edges that
+        are `alone`, in their order.
+        """
+        rows = np.flatnonzero(self.alone)
+        plane = plane_boundary(self.points, self.ends[rows], self.piece)
+        rest = np.setdiff1d(np.arange(len(self.ends)), rows)
+        tail, head = plane.ends.T
+        there, back = tail * len(self.points) + head, head * len(self.points) + tail
+        order = there.argsort()
+        facing = order[np.minimum(np.searchsorted(there[order], back), len(order) - 1)] if len(order) else order
+        own = self.own[rows][plane.edge]
+        doubled = np.zeros(len(self.points), bool)
+        doubled[plane.ends[plane.paired]] = True
+        stands = plane.first == np.arange(len(self.points))
+        walls = replace(
+            self,
+            triangles=plane.first[self.triangles],
+            used=self.used & stands,
+            fixed=self.fixed & stands,
+            ends=np.concatenate([plane.ends, plane.first[self.ends[rest]]]),
+            kind=np.concatenate([np.full(len(own), BOUNDARY), self.kind[rest]]),
+            once=np.concatenate([~plane.paired | (tail < head), self.once[rest]]),
+            alone=np.concatenate([~plane.paired, self.alone[rest]]),
+            own=np.concatenate([own, self.own[rest]]),
+            other=np.concatenate([own[facing], self.other[rest]]),
+            doubled=doubled,
+        )
+        return walls, plane
 
 
 def _invalid_pieces(points: np.ndarray, triangles: Tensor, twin: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -6,7 +6,7 @@ from .arrays import Obstacle, among, next_in_triangle
 from .triangulation import Triangulation
 
 
-class _Exact:
+class Exact:
     """Products of coordinate differences as Python integers, all times one power of two."""
 
     def __init__(self, points: np.ndarray) -> None:
@@ -31,6 +31,12 @@ class _Exact:
         (ux, uy), (vx, vy), (px, py) = self[u], self[v], self[p]
         return (vx - ux) * (px - ux) + (vy - uy) * (py - uy)
 
+    def later(self, p: int, q: int, r: int) -> int:
+        """Positive if the ray pq comes after the ray pr, counter-clockwise from the x axis; 0 if they are alike."""
+        (px, py), (qx, qy), (rx, ry) = self[p], self[q], self[r]
+        below = (qy < py or (qy == py and qx < px)), (ry < py or (ry == py and rx < px))
+        return below[0] - below[1] or -((qx - px) * (ry - py) - (qy - py) * (rx - px))
+
 
 def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
     """Flip edges until each of `segments` (K, 2) is an edge, and lock it.
@@ -47,7 +53,7 @@ def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
         np.minimum(u, v) * count + np.maximum(u, v) for u, v in ((work.corners, work.corners[:, [1, 2, 0]]), segments.T)
     )
     work.locked |= among(there.ravel(), wanted)
-    exact = _Exact(work.points)
+    exact = Exact(work.points)
     for u, v in segments[~among(wanted, there)].tolist():
         obstacle = _recover_one(work, u, v, exact)
         if obstacle:
@@ -55,7 +61,7 @@ def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
     return None
 
 
-def _recover_one(work: Triangulation, u: int, v: int, exact: _Exact) -> Obstacle | None:
+def _recover_one(work: Triangulation, u: int, v: int, exact: Exact) -> Obstacle | None:
     while True:
         crossed, obstacle = _crossed(work, u, v, exact)
         if obstacle:
@@ -76,7 +82,7 @@ def _recover_one(work: Triangulation, u: int, v: int, exact: _Exact) -> Obstacle
     return None
 
 
-def _crossed(work: Triangulation, u: int, v: int, exact: _Exact) -> tuple[list[int], Obstacle | None]:
+def _crossed(work: Triangulation, u: int, v: int, exact: Exact) -> tuple[list[int], Obstacle | None]:
     """The half-edges that the open segment uv crosses from right (tail) to left (head), in order."""
     corners = work.corners
     starts = np.flatnonzero(corners.ravel() == u).tolist()

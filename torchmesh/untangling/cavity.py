@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..triangulating.arrays import Obstacle, among
+from ..triangulating.arrays import Obstacle, among, distinct
 from ..triangulating.crossings import crossing_pairs
 from ..triangulating.placing import place_vertices
 from ..triangulating.polygon import loops_of, why_not_simple
 from ..triangulating.polygon_triangulation import locate, triangulate_polygon, triangulate_with
 from ..triangulating.recovery import recover
+from ..triangulating.touching import PlaneBoundary, of_own_sides, plane_boundary
 from ..triangulating.triangulation import Triangulation
 
 # Free vertices nearer to each other than this part of the cavity's mean spacing are on one spot: only one stays there.
@@ -47,19 +48,24 @@ class Cavity:
 
     def filled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | Obstacle:
         """The triangles (T, 3), the points, and which of them moved (V,) bool; or what is in the way."""
-        loops = loops_of(self.boundary)
-        obstacle = why_not_simple(self.points, loops)
-        if obstacle:
+        obstacle = why_not_simple(self.points, loops_of(self.boundary))
+        plane = self._touching() if obstacle else None
+        if obstacle and plane is None:
             return obstacle
         spacing, on_boundary = self._spacing()
         anchors, free = np.flatnonzero(self.fixed & ~on_boundary), ~self.fixed & ~on_boundary
         stay = self._apart(np.flatnonzero(free & self.keep))
-        work = triangulate_with(self.points.copy(), loops, spacing, np.concatenate([anchors, stay]), self.dangling)
-        if work is None or not among(anchors, work.corners).all():
-            built = self._step_by_step(loops, spacing, anchors, stay)
-            if isinstance(built, Obstacle):
-                return built
-            work = built
+        if plane is None:
+            work = self._triangulated(loops_of(self.boundary), spacing, anchors, stay, self.dangling)
+        else:
+            lines, loops = plane.lines, loops_of(plane.open_ends)
+            anchors = np.concatenate([anchors, distinct(lines)[~among(distinct(lines), plane.open_ends)]])
+            segments = np.concatenate([lines, plane.first[self.dangling]])
+            work = self._triangulated(loops, spacing, anchors, stay, segments)
+            if not isinstance(work, Obstacle):
+                work = of_own_sides(work, plane, self.dangling)
+        if isinstance(work, Obstacle):
+            return work
         moved = free.copy()
         moved[work.corners] = False
         left = place_vertices(work, np.flatnonzero(moved), self.dtype)
@@ -85,8 +91,35 @@ class Cavity:
         spacing = np.sqrt(abs(area) / max(len(vertices), 1))
         return vertices[_scattered(self.points[vertices], _CLUSTER * spacing)]
 
+    def _touching(self) -> PlaneBoundary | None:
+        """The boundary as a plane graph, if it does no more than touch itself, in fixed vertices only; else None."""
+        plane = plane_boundary(self.points, self.boundary)
+        if not plane.sound or plane.paired.all() or not self.fixed[plane.touched].all():
+            return None
+        return None if why_not_simple(self.points, loops_of(plane.open_ends)) else plane
+
+    def _triangulated(
+        self,
+        loops: list[np.ndarray],
+        spacing: np.ndarray,
+        anchors: np.ndarray,
+        stay: np.ndarray,
+        segments: np.ndarray,
+    ) -> Triangulation | Obstacle:
+        """The domain of the `loops` with all `anchors` (N,) and `segments` (K, 2), and of `stay` those that fit in."""
+        inside = np.concatenate([anchors, stay])
+        work = triangulate_with(self.points.copy(), loops, spacing, inside, segments)
+        if work is not None and among(anchors, work.corners).all():
+            return work
+        return self._step_by_step(loops, spacing, anchors, stay, segments)
+
     def _step_by_step(
-        self, loops: list[np.ndarray], spacing: np.ndarray, anchors: np.ndarray, stay: np.ndarray
+        self,
+        loops: list[np.ndarray],
+        spacing: np.ndarray,
+        anchors: np.ndarray,
+        stay: np.ndarray,
+        segments: np.ndarray,
     ) -> Triangulation | Obstacle:
         """What `triangulate_with` does, with reasons: all `anchors` (N,), and of `stay` (N,) those that fit in."""
         work = triangulate_polygon(self.points.copy(), loops, spacing)
@@ -98,11 +131,11 @@ class Cavity:
                 "the fixed vertex {} lies outside its region, on its boundary, or on another vertex",
                 (int(refused[0]),),
             )
-        crossing = crossing_pairs(self.points, self.dangling)
+        crossing = crossing_pairs(self.points, segments)
         if len(crossing):
-            ends = tuple(self.dangling[crossing[0]].ravel().tolist())
+            ends = tuple(segments[crossing[0]].ravel().tolist())
             return Obstacle("the constrained edges [{}, {}] and [{}, {}] meet", ends)
-        obstacle = recover(work, self.dangling)
+        obstacle = recover(work, segments)
         if obstacle is not None:
             return obstacle
         _insert(work, stay)

@@ -51,8 +51,9 @@ def retriangulate(mesh: MeshBatch, cavity: Tensor, keep: Tensor | None = None) -
     keep  (V,) bool: the free vertices that keep their position where possible; None: all.  The others are spread over
           the cavity, in density by the squared length of the boundary edges nearby
 
-    `ok` is False, and the mesh unchanged, when the boundary of a component is not a simple polygon, when a fixed vertex
-    lies outside its component or on another vertex, or when a constrained edge crosses an edge that stays.
+    The boundary of a component may touch itself in fixed vertices.  `ok` is False, and the mesh unchanged, when it
+    crosses itself, when a fixed vertex lies outside its component or on another vertex, or when a constrained edge
+    crosses an edge that stays.
     Raises InvalidMeshError for a batch of several meshes or a mask of the wrong shape.
     """
     triangles = _triangles_of_one(mesh)
@@ -73,9 +74,9 @@ def untangle_by_retriangulation(mesh: MeshBatch, keep: Tensor | None = None) -> 
     """Re-triangulate the smallest cavities that leave no inverted or flat triangle in the mesh.
 
     Each cavity starts as the inverted triangles and the ring around them.  It grows ring by ring until its boundary is
-    a simple polygon around its fixed vertices; at last it is all that the boundary and the constrained edges close
-    off.  `keep` is that of `retriangulate`.  When `ok` is False, the cavities that could be repaired are, and `reason`
-    says what stopped the others.
+    a polygon around its fixed vertices that does not cross itself; at last it is all that the boundary and the
+    constrained edges close off.  `keep` is that of `retriangulate`.  When `ok` is False, the cavities that could be
+    repaired are, and `reason` says what stopped the others.
     Raises InvalidMeshError for a batch of several meshes.
     """
     _triangles_of_one(mesh)
