@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cracks
 import meshes
 import meshio
 import numpy as np
@@ -75,6 +76,12 @@ def write_examples(folder: Path) -> None:
         (folder / "in" / part).mkdir(parents=True)
         write(folder / "in" / part / "mesh.vtu", meshes.jittered())
     write(folder / "better.vtu", meshes.equilateral())
+    write(folder / "scanned.stl", meshes.jittered())
+    points, triangles = meshes.grid_arrays(4, 4)
+    soup = np.pad(points[triangles].reshape(-1, 2), ((0, 0), (0, 1)))
+    meshio.Mesh(soup, [("triangle", np.arange(len(soup)).reshape(-1, 3))]).write(folder / "scanned.vtk")
+    points, triangles = cracks.two_lips(np.random.default_rng(0), flips=0)
+    write(folder / "cracked.vtk", MeshBatch.from_arrays(points, triangles))
     points, triangles = plate()
     write(folder / "plate.msh", MeshBatch.from_arrays(points, triangles))
     write(folder / "plate.inp", MeshBatch.from_arrays(points, triangles))

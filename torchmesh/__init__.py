@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from .learning import datasets, domains, losses, nn
     from .mesh import metrics
     from .mesh.batch import MeshBatch, join
+    from .mesh.clean_log import CleanLog
+    from .mesh.cleaning import clean
     from .mesh.measure import Quality, minimum_angle, quality
     from .mesh.vertex_map import VertexMap
     from .optimising.metric_field import MetricField
@@ -75,6 +77,8 @@ _NAMES = {
     "improving.pipeline": "improve",
     "improving.report": "Progress Report Step",
     "mesh.batch": "MeshBatch join",
+    "mesh.clean_log": "CleanLog",
+    "mesh.cleaning": "clean",
     "mesh.measure": "Quality minimum_angle quality",
     "mesh.vertex_map": "VertexMap",
     "optimising.metric_field": "MetricField",
@@ -148,6 +152,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "BatchFile",
     "BatchWriter",
+    "CleanLog",
     "ConvergenceError",
     "DeformOptions",
     "DeformReport",
@@ -180,6 +185,7 @@ __all__ = [
     "UntangleOptions",
     "VertexMap",
     "animate",
+    "clean",
     "datasets",
     "deform",
     "diagnose",

@@ -18,7 +18,7 @@ from typing import Annotated
 
 import typer
 
-from . import animate, batch, console, generate, improve, quality, report, reproduce, warp
+from . import animate, batch, clean, console, generate, improve, quality, report, reproduce, warp
 from .errors import ClickException
 
 INTERRUPTED, UNREAD = 130, 141
@@ -109,6 +109,7 @@ def _register(function: Callable, examples: tuple[str, ...]) -> None:
 
 _register(improve.improve, improve.EXAMPLES)
 _register(quality.quality, quality.EXAMPLES)
+_register(clean.clean, clean.EXAMPLES)
 _register(warp.warp, warp.EXAMPLES)
 _register(reproduce.reproduce, reproduce.EXAMPLES)
 _register(batch.batch, batch.EXAMPLES)

@@ -44,13 +44,11 @@ class Content:
     @classmethod
     def of(cls, document: Document, path: Path) -> "Content":
         """Raises InvalidMeshError, naming `path`, for cells that cannot be dealt with."""
-        mesh = _native(document.mesh)
-        _check_types(mesh, path)
-        _check_rows(mesh, path)
+        mesh = checked(document.mesh, path)
         rows = np.concatenate([b.data for b in mesh.cells if b.type == "triangle"]).astype(np.int64)
         first = triangle = np.arange(len(rows))
         if document.repeats_triangles:
-            first, triangle = _merged(rows)
+            first, triangle = merged_rows(rows)
         faces = rows[first]
         region = triangle_regions(mesh, triangle, len(first))
         none = np.zeros((0, 2), np.int64)
@@ -87,6 +85,14 @@ class Content:
         """(V,) bool from the point data of that name; None if there is none."""
         marks = self.mesh.point_data.get("fixed")
         return None if marks is None else (marks.reshape(len(marks), -1) != 0).any(1)
+
+
+def checked(mesh: meshio.Mesh, path: Path) -> meshio.Mesh:
+    """A copy as of `_native`.  Raises InvalidMeshError, naming `path`, for cells that cannot be dealt with."""
+    mesh = _native(mesh)
+    _check_types(mesh, path)
+    _check_rows(mesh, path)
+    return mesh
 
 
 def _native(mesh: meshio.Mesh) -> meshio.Mesh:
@@ -141,7 +147,7 @@ def _check_rows(mesh: meshio.Mesh, path: Path) -> None:
             )
 
 
-def _merged(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def merged_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The first row of each triangle (T,), and the triangle of each row (R,), of rows that repeat triangles."""
     _, first, triangle = np.unique(np.sort(rows, 1), axis=0, return_index=True, return_inverse=True)
     order = first.argsort()
