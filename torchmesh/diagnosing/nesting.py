@@ -81,14 +81,23 @@ def _surface(walls: Walls, region: int, edges: np.ndarray) -> Iterator[Finding]:
 
 
 def _components(edges: np.ndarray) -> int:
-    """The number of components of the graph with these edges (E, 2)."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+    """The number of components of the graph with these edges (E, 2).
 
+    Roots are hooked to the lowest root that an edge leads to, and trees are flattened, until nothing changes (Shiloach
+    & Vishkin 1982, as in `connectivity.triangle_components`): small meshes need not wait for scipy.
+    """
     names, ends = np.unique(edges, return_inverse=True)
-    ends = ends.reshape(-1, 2)
-    graph = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(len(names), len(names)))
-    return int(connected_components(graph, directed=False)[0])
+    a, b = ends.reshape(-1, 2).T
+    root = np.arange(len(names))
+    while True:
+        one, two = root[a], root[b]
+        hooked = root.copy()
+        np.minimum.at(hooked, np.maximum(one, two), np.minimum(one, two))
+        while not np.array_equal(hooked[hooked], hooked):
+            hooked = hooked[hooked]
+        if np.array_equal(hooked, root):
+            return len(np.unique(root))
+        root = hooked
 
 
 def _pinched(faces: np.ndarray, bounds: np.ndarray) -> int | None:
