@@ -4,7 +4,7 @@ The folders are the algorithm, from the ground up; a folder imports from those a
 
     mesh            what a mesh is: arrays, connectivity, exact signs, measures of quality
     optimising      energies and the minimiser            triangulating  exact triangulation of polygons
-    files           reading and writing meshes
+    transferring    values of one mesh for another        files          reading and writing meshes
     flipping        step 1 of Kim 2017: edges             untangling     step 2: inverted triangles
     warping         moving a boundary                     diagnosing     can a valid mesh exist
     smoothing       step 3: shapes
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from .smoothing.polishing import PolishInfo, PolishOptions, polish
     from .smoothing.smoothing import SmoothOptions, smooth
     from .status import Status
+    from .transferring.transfer import TransferInfo, transfer, transfer_matrix
     from .untangling.options import UntangleOptions
     from .untangling.untangling import untangle
     from .warping.boundary_path import largest_step
@@ -92,6 +93,7 @@ _NAMES = {
     "smoothing.polishing": "PolishInfo PolishOptions polish",
     "smoothing.smoothing": "SmoothOptions smooth",
     "status": "Status",
+    "transferring.transfer": "TransferInfo transfer transfer_matrix",
     "untangling.options": "UntangleOptions",
     "untangling.untangling": "untangle",
     "warping.boundary_path": "largest_step",
@@ -182,6 +184,7 @@ __all__ = [
     "SmoothOptions",
     "Status",
     "Step",
+    "TransferInfo",
     "UntangleOptions",
     "VertexMap",
     "animate",
@@ -220,6 +223,8 @@ __all__ = [
     "target_quality",
     "to_pyg",
     "to_pyvista",
+    "transfer",
+    "transfer_matrix",
     "untangle",
     "write",
     "write_series",
