@@ -143,9 +143,21 @@ def test_warnings_are_kept_with_the_real_names(tmp_path):
     meshio.Mesh(mesh.points.numpy(), [("triangle", mesh.triangles.numpy())], cell_data={"pressure": [pressure]}).write(
         tmp_path / "loaded.vtu"
     )
-    (result,) = improve_jobs([job(tmp_path, "loaded.vtu")], ImproveOptions(), 1000)
+    (result,) = improve_jobs([job(tmp_path, "loaded.vtu")], ImproveOptions(), 1000, fields="carry")
     (text,) = result.warnings
     assert text == f"{result.output}: not carried over from {tmp_path / 'loaded.vtu'}: cell data 'pressure'"
+
+
+def test_a_result_says_what_became_of_the_fields(tmp_path):
+    mesh = meshes.moved_hole()
+    heat = {"heat": mesh.points[:, 0].numpy(), "displacement": 0 * mesh.points.numpy()}
+    meshio.Mesh(mesh.points.numpy(), [("triangle", mesh.triangles.numpy())], point_data=heat).write(
+        tmp_path / "hot.vtu"
+    )
+    (result,) = improve_jobs([job(tmp_path, "hot.vtu")], ImproveOptions(), 1000)
+    assert result.fields == "1 point field interpolated, carried with its vertices: displacement"
+    after = meshio.read(result.output)
+    np.testing.assert_allclose(after.point_data["heat"], after.points[:, 0], atol=1e-12)
 
 
 def test_a_fingerprint_follows_the_content(tmp_path):

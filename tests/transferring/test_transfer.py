@@ -229,6 +229,23 @@ def test_bad_arguments_are_named():
         transfer(mesh, meshes.jittered(6, 5, 0.6), torch.zeros(42), method="conservative")
 
 
+def test_unused_vertices_may_be_anything():
+    """NaN or far outside: what belongs to triangles is as without them."""
+    plain = [meshes.jittered(5, 5, 0.1), meshes.jittered(5, 5, 0.1, seed=3)]
+    values = linear(plain[0])
+    expected = transfer(*plain, values)
+    for odd in (torch.nan, 1e200):
+        more = []
+        for mesh in plain:
+            offsets = mesh.point_offsets + torch.tensor([0, 1])
+            points = torch.cat([mesh.points, mesh.points.new_full((1, 2), odd)])
+            fixed = torch.cat([mesh.fixed, torch.tensor([True])])
+            more.append(dataclasses.replace(mesh, points=points, fixed=fixed, point_offsets=offsets))
+        made = transfer(*more, torch.cat([values, values.new_tensor([7.0])]))
+        assert torch.equal(made[:-1], expected)
+        assert float(made[-1]) == 7
+
+
 def test_unused_vertices_take_part():
     """A vertex of no triangle keeps its value where it is, under every method."""
     points, triangles = meshes.grid_arrays(3, 3)

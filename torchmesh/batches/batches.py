@@ -23,6 +23,7 @@ from pathlib import Path
 import torch
 
 from ..errors import MeshError, MeshIOError, MeshWarning
+from ..files.field_transfer import FieldChoice
 from ..files.time_series import Series, read_series
 from ..improving.options import ImproveOptions
 from ..mesh.batch import MeshBatch
@@ -70,11 +71,18 @@ class _Opened:
         return len(self.series.batch.points)
 
 
-def improve_jobs(jobs: Sequence[Job], options: ImproveOptions, budget: int, label: str = "") -> Iterator[FileResult]:
+def improve_jobs(
+    jobs: Sequence[Job],
+    options: ImproveOptions,
+    budget: int,
+    label: str = "",
+    fields: FieldChoice = "interpolate",
+) -> Iterator[FileResult]:
     """The result of each job, as soon as its file is written.
 
     budget  greatest number of vertices in a batch; a larger mesh is a batch of its own
     label   the settings in words, for the field `options` of each result
+    fields  what becomes of the fields of the files, as for `write`
 
     Nothing is raised for a file, whatever is wrong with it: its result says what is.
     """
@@ -85,11 +93,11 @@ def improve_jobs(jobs: Sequence[Job], options: ImproveOptions, budget: int, labe
             yield opened
             continue
         if waiting and not _fits(opened, waiting, budget):
-            yield from _improve(waiting, options)
+            yield from _improve(waiting, options, fields)
             waiting = []
         waiting.append(opened)
     if waiting:
-        yield from _improve(waiting, options)
+        yield from _improve(waiting, options, fields)
 
 
 def _fits(opened: _Opened, waiting: list[_Opened], budget: int) -> bool:
@@ -112,18 +120,18 @@ def _read(job: Job, label: str) -> _Opened | FileResult:
     return _Opened(job, series, facts, time.perf_counter() - started)
 
 
-def _improve(waiting: list[_Opened], options: ImproveOptions) -> Iterator[FileResult]:
+def _improve(waiting: list[_Opened], options: ImproveOptions, fields: FieldChoice) -> Iterator[FileResult]:
     """Improves the files as one batch.  If that raises, which no mesh should cause, each file is improved alone."""
     started = time.perf_counter()
     try:
-        improved = improve_series([opened.series for opened in waiting], options)
+        improved = improve_series([opened.series for opened in waiting], options, fields=fields)
     except Exception as error:
         if len(waiting) == 1:
             spent = waiting[0].seconds + time.perf_counter() - started
             yield _failed(waiting[0].job, waiting[0].facts, error, spent)
             return
         for opened in waiting:
-            yield from _improve([opened], options)
+            yield from _improve([opened], options, fields)
         return
     seconds = time.perf_counter() - started
     total = sum(len(opened.series.batch.triangles) for opened in waiting)
@@ -149,7 +157,7 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     staged = str(folder / target.name)
     try:
         with _recorded_warnings() as said:
-            _write_staged(improved, job, target, folder)
+            facts["fields"] = _write_staged(improved, job, target, folder)
         facts["output_bytes"] = target.stat().st_size
     except Exception as error:
         shutil.rmtree(folder, ignore_errors=True)
@@ -166,11 +174,12 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     )
 
 
-def _write_staged(improved: ImprovedFile, job: Job, target: Path, folder: Path) -> None:
+def _write_staged(improved: ImprovedFile, job: Job, target: Path, folder: Path) -> str:
     """Writes the file into `folder` and moves what was made, which may be several files, to the folder of `target`.
 
-    Raises MeshIOError where a link between the folder of results and the target leads elsewhere, and for a strict job
-    that would lose something.  A link at the target itself is replaced, and what it leads to is left alone.
+    Returns what became of the fields, in words.  Raises MeshIOError where a link between the folder of results and the
+    target leads elsewhere, and for a strict job that would lose something.  A link at the target itself is replaced,
+    and what it leads to is left alone.
     """
     shutil.rmtree(folder, ignore_errors=True)  # a killed process with this number may have left a part of a file
     _refuse_ways_out(target, Path(job.staging).parent)
@@ -183,6 +192,7 @@ def _write_staged(improved: ImprovedFile, job: Job, target: Path, folder: Path) 
     draft.save()
     for made in sorted(folder.iterdir()):
         os.replace(made, target.parent / made.name)
+    return str(draft.fields)
 
 
 def _refuse_ways_out(target: Path, out: Path) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import torch
 
+from ..files.field_transfer import FieldChoice, FieldSummary, check_choice
 from ..files.mesh_files import held
 from ..files.source import Source
 from ..files.time_series import Series, SeriesDraft, draft_series
@@ -44,6 +45,7 @@ class ImprovedFile:
     before       the quality of the whole batch that was improved, as it was given
     report       the report of `improve` on the whole batch
     vertex_maps  (M,) where the vertices of each mesh come from; None where vertices keep number and order
+    fields       what `write` does with the fields of the file
     """
 
     given: Series
@@ -52,28 +54,35 @@ class ImprovedFile:
     before: Quality
     report: Report
     vertex_maps: list[VertexMap] | None
+    fields: FieldChoice = "interpolate"
 
     def draft(self, path: str | os.PathLike[str]) -> SeriesDraft:
         """The file with the improved meshes in their steps, ready to be written; raises as `write_series` does.
 
+        Fields are transferred from the meshes that were improved: what ride they had up to these is not undone.
         `report.lost` then names, for the meshes of this file, what the file will not hold.
         """
-        made = draft_series(path, join(self.meshes), self.given, self.vertex_maps)
+        made = draft_series(path, join(self.meshes), self.given, self.vertex_maps, fields=self.fields)
         for b in range(self.rows.start, self.rows.stop):
             self.report.lost[b] = made.lost
         return made
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the file with the improved meshes in their steps, all or nothing; raises as `write_series` does."""
+    def write(self, path: str | os.PathLike[str]) -> FieldSummary:
+        """Writes the file with the improved meshes in their steps, all or nothing; raises as `write_series` does.
+
+        Returns what became of the fields.
+        """
         made = self.draft(path)
         made.tell()
         made.save()
+        return made.fields
 
 
 def improve_series(
     files: Sequence[Series],
     options: ImproveOptions,
     *,
+    fields: FieldChoice = "interpolate",
     progress: Callable[[Progress], None] | None = None,
     observe: Callable[[str, MeshBatch], None] | None = None,
 ) -> list[ImprovedFile]:
@@ -81,11 +90,13 @@ def improve_series(
 
     files     the meshes to improve are each file's `batch`, whose points may differ from those in the file;
               all batches have one dtype
+    fields    what becomes of the fields of the files: see `write`
     options   as for `improve`; under boundary="slide" those vertices are held that `held` names for each file
     progress, observe  as for `improve`
 
-    Raises as `improve` does.
+    Raises as `improve` does; ValueError for unknown `fields`.
     """
+    check_choice(fields)
     batch = join([file.batch for file in files])
     before = quality(batch)
     hold = torch.cat([_held(file) for file in files]) if options.slides else None
@@ -96,7 +107,8 @@ def improve_series(
     for file in files:
         rows = slice(first, first + len(file.batch))
         first = rows.stop
-        improved.append(ImprovedFile(file, meshes[rows], rows, before, report, None if maps is None else maps[rows]))
+        own = None if maps is None else maps[rows]
+        improved.append(ImprovedFile(file, meshes[rows], rows, before, report, own, fields))
     return improved
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from ..errors import MeshError
+from ..files.field_transfer import FieldChoice
 from ..improving.options import ImproveOptions
 from .batches import Job, improve_jobs
 from .manifest import FileResult
@@ -32,8 +33,8 @@ _GRACE = 10
 class LocalWorker:
     """A process of this machine that computes with one thread; after its death the next run starts another."""
 
-    def __init__(self, options: ImproveOptions, budget: int, label: str) -> None:
-        self._settings = pickle.dumps((options, budget, label))
+    def __init__(self, options: ImproveOptions, budget: int, label: str, fields: FieldChoice = "interpolate") -> None:
+        self._settings = pickle.dumps((options, budget, label, fields))
         self._process: subprocess.Popen | None = None
         self._stopped = False
 
@@ -144,12 +145,12 @@ def serve() -> None:
     torch.set_num_threads(1)
     source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries print to standard output, and that must not come between the results
-    options, budget, label = pickle.load(source)
+    settings = pickle.load(source)
     inbox: queue.SimpleQueue[list[Job]] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(source, inbox), daemon=True).start()
     _send(sink, "ready")
     while True:
-        for result in improve_jobs(inbox.get(), options, budget, label):
+        for result in improve_jobs(inbox.get(), *settings):
             _send(sink, result)
         _send(sink, None)
 

@@ -43,6 +43,7 @@ class FileResult:
     imr_maximum_before, imr_maximum_after    triangle has no area, and where there is no mesh
     seconds     wall time of reading and writing, and the file's share, by triangles, of its batch's improvement
     warnings    what was dropped or repaired
+    fields      what became of the fields, in words; empty where nothing had to be done
     bytes, modified, digest    the input's size, time of its last change (ns), and BLAKE2b hash in hex
     output_bytes               the size of the output
     options     the settings that it was made with, as `runs.settings` gives them
@@ -72,6 +73,7 @@ class FileResult:
     modified: int | None = None
     digest: str | None = None
     output_bytes: int | None = None
+    fields: str = ""
     options: str = ""
     worker: str = ""
     resumed: bool = False

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ..errors import MissingDependencyError
+from ..files.field_transfer import FieldChoice
 from ..improving.options import ImproveOptions
 from .batches import Job, improve_jobs
 from .manifest import FileResult
@@ -21,10 +22,10 @@ class RayWorker:
     before a machine died stays done.  Ray Data knows whole blocks only, and repeats them.
     """
 
-    def __init__(self, options: ImproveOptions, budget: int, label: str) -> None:
+    def __init__(self, options: ImproveOptions, budget: int, label: str, fields: FieldChoice = "interpolate") -> None:
         import ray
 
-        self._ray, self._settings = ray, (options, budget, label)
+        self._ray, self._settings = ray, (options, budget, label, fields)
         # Ray would repeat a lost task as a whole; the crew repeats only what was not answered.
         self._task = ray.remote(num_cpus=1, max_retries=0)(_ray_task)
         self._running: Any = None
@@ -49,11 +50,13 @@ class RayWorker:
         self._running = None
 
 
-def _ray_task(jobs: list[Job], options: ImproveOptions, budget: int, label: str) -> Iterator[FileResult]:
+def _ray_task(
+    jobs: list[Job], options: ImproveOptions, budget: int, label: str, fields: FieldChoice
+) -> Iterator[FileResult]:
     import torch
 
     torch.set_num_threads(1)
-    yield from improve_jobs(jobs, options, budget, label)
+    yield from improve_jobs(jobs, options, budget, label, fields)
 
 
 @contextlib.contextmanager

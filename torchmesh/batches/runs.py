@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import MeshIOError, MeshWarning, MissingDependencyError
+from ..files.field_transfer import FieldChoice, check_choice
 from ..improving.options import ImproveOptions
 from . import manifest
 from .batches import Job, fingerprint
@@ -49,6 +50,7 @@ def improve_files(
     suffix: str | None = None,
     redo: bool = False,
     strict: bool = False,
+    fields: FieldChoice = "interpolate",
 ) -> Iterator[FileResult]:
     """Improves mesh files into the folder `out`.  The work is done while you iterate over the results.
 
@@ -63,6 +65,7 @@ def improve_files(
     suffix   the extension of the outputs, such as ".vtu"; None: that of each input
     redo     begin anew, whatever `out` holds from earlier runs
     strict   a file that would not hold everything that is in its input is an error, and is not written
+    fields   what becomes of the fields of the files, as for `write`
 
     Every file is written whole or not at all, and the manifest after it.  The process, its workers or the machine may
     therefore be killed at any time, and the same call continues.  A result of an earlier run has `resumed` set; errors
@@ -72,7 +75,7 @@ def improve_files(
     when another run writes to `out`, or when `out` cannot be written; ValueError for a bad argument;
     MissingDependencyError for engine "ray" without Ray.  What is wrong with a single file is in its result.
     """
-    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo, strict).results()
+    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo, strict, fields).results()
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class Run:
     jobs      the files that are left, largest first
     strict    as for `improve_files`
     changed   why results of earlier runs do not hold, and how many for each reason
+    fields    what becomes of the fields of the files
     """
 
     out: Path
@@ -94,6 +98,7 @@ class Run:
     jobs: list[Job]
     strict: bool = False
     changed: dict[str, int] = field(default_factory=dict)
+    fields: FieldChoice = "interpolate"
 
     @classmethod
     def plan(
@@ -107,15 +112,17 @@ class Run:
         suffix: str | None = None,
         redo: bool = False,
         strict: bool = False,
+        fields: FieldChoice = "interpolate",
     ) -> "Run":
         """Finds the files and compares them with the manifest; arguments and errors are those of `improve_files`."""
         options, out = options or ImproveOptions(), Path(out)
         _check_arguments(options, engine, workers, budget)
+        check_choice(fields)
         jobs = [dataclasses.replace(job, strict=strict) for job in find_jobs(paths, out, suffix)]
         if out.exists() and not out.is_dir():
             raise MeshIOError(f"{out}: is not a folder")
         known = {} if redo else manifest.load(out)
-        label, kept, left, changed = settings(options) + ", strict" * strict, [], [], dict[str, int]()
+        label, kept, left, changed = settings(options, fields) + ", strict" * strict, [], [], dict[str, int]()
         for job in jobs:
             result = known.get(job.name)
             reason = "" if result is None else _stale(job, result, label)
@@ -126,7 +133,7 @@ class Run:
             else:
                 kept.append(result)
         left.sort(key=lambda job: (-job.size, job.name))  # a large one at the end would leave other workers idle
-        return cls(out, options, engine, workers, budget, kept, left, strict, changed)
+        return cls(out, options, engine, workers, budget, kept, left, strict, changed, fields)
 
     def results(self) -> Iterator[FileResult]:
         """The kept results, then the others as they are made; each is in the manifest before it is given."""
@@ -146,7 +153,7 @@ class Run:
 
     def _made(self) -> Generator[FileResult, None, None]:
         """The results of the jobs, as workers finish them."""
-        label = settings(self.options) + ", strict" * self.strict
+        label = settings(self.options, self.fields) + ", strict" * self.strict
         with contextlib.ExitStack() as stack:
             kind: type[LocalWorker] | type[RayWorker] = LocalWorker
             count = self.workers or processors()
@@ -154,7 +161,7 @@ class Run:
                 kind, count = RayWorker, stack.enter_context(ray_cluster(self.workers))
 
             def hire() -> Worker:
-                return kind(self.options, self.budget, label)
+                return kind(self.options, self.budget, label, self.fields)
 
             crew = Crew(self.jobs, hire, count, self.budget)
             for result in stack.enter_context(contextlib.closing(crew.results())):
@@ -181,14 +188,14 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def settings(options: ImproveOptions) -> str:
+def settings(options: ImproveOptions, fields: FieldChoice = "interpolate") -> str:
     """The version and those options that differ from the default, in words.
 
     Two runs with the same text give the same results.
     """
     from importlib.metadata import version
 
-    changes = ", ".join(_changes(options, ImproveOptions()))
+    changes = ", ".join([*_changes(options, ImproveOptions()), *_changes(fields, "interpolate", "fields")])
     return f"torchmesh {version('torchmesh-untangle')}" + (f", {changes}" if changes else "")
 
 

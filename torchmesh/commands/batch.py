@@ -18,6 +18,8 @@ from .shared_options import (
     BetaOption,
     Boundary,
     BoundaryOption,
+    Fields,
+    FieldsOption,
     Method,
     MethodOption,
     QuietOption,
@@ -80,6 +82,7 @@ def batch(
     topology: TopologyOption = Topology.flip,
     beta: BetaOption = None,
     boundary: BoundaryOption = Boundary.fixed,
+    fields: FieldsOption = Fields.interpolate,
     suffix: Annotated[
         str | None,
         typer.Option("--format", metavar="EXT", help="Extension of the results, as vtu.", show_default=False),
@@ -91,8 +94,8 @@ def batch(
     """Improve many mesh files, as torchmesh improve does, on all processors.
 
     DIR/manifest.jsonl gets a line for each mesh as soon as it is done: file, output, status, inverted triangles and
-    IMR before and after, seconds, error; DIR/manifest.parquet is the same table, written at the end. A file that
-    cannot be read is an error in the manifest, and the rest goes on.
+    IMR before and after, what became of its fields, seconds, error; DIR/manifest.parquet is the same table, written at
+    the end. A file that cannot be read is an error in the manifest, and the rest goes on.
 
     After an interrupt, a kill or a crash the same command goes on where the last one stopped. Files that have changed
     since, and errors, are done again.
@@ -104,7 +107,9 @@ def batch(
 
     options = improve_options(method, topology, beta, boundary)
     try:
-        run = Run.plan(sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict)
+        run = Run.plan(
+            sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value
+        )
     except ValueError as error:
         raise UsageError(str(error)) from None
     for reason, count in run.changed.items():

@@ -15,6 +15,8 @@ from .shared_options import (
     BetaOption,
     Boundary,
     BoundaryOption,
+    Fields,
+    FieldsOption,
     InArgument,
     Method,
     MethodOption,
@@ -37,6 +39,7 @@ EXAMPLES = (
     "torchmesh improve tangled.msh better.vtu --plot picture.png --report report.json",
     "torchmesh improve tangled.vtk better.vtk --topology keep",
     "torchmesh improve tangled.vtk better.vtk --boundary slide",
+    "torchmesh improve moved.vtu better.vtu --fields carry",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
     "torchmesh improve plate.inp better.inp --strict",
 )
@@ -54,6 +57,7 @@ def improve(
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
     beta: BetaOption = None,
+    fields: FieldsOption = Fields.interpolate,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
     ] = None,
@@ -86,7 +90,7 @@ def improve(
     started = time.perf_counter()
     given = open_mesh(source)
     with console.progress(quiet) as show:
-        (improved,) = improve_series([given], options, progress=show)
+        (improved,) = improve_series([given], options, fields=fields.value, progress=show)
         seconds = time.perf_counter() - started
         draft = improved.draft(target)
         if strict:
@@ -103,6 +107,7 @@ def improve(
             "topology": topology.value,
             "boundary": boundary.value,
             "beta": beta,
+            "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
             **columns,
             **{key: value for key, value in improved.report.to_dict()[0].items() if key != "mesh"},
@@ -110,6 +115,8 @@ def improve(
         _write(improved, draft, report, document, plot, f"{source.name}: before and after")
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
+        if str(draft.fields):
+            console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
     return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0])
 
 

@@ -51,6 +51,14 @@ class Boundary(str, Enum):
     slide = "slide"
 
 
+class Fields(str, Enum):
+    """What becomes of the fields of a file."""
+
+    interpolate = "interpolate"
+    carry = "carry"
+    drop = "drop"
+
+
 MethodOption = Annotated[
     Method,
     typer.Option(
@@ -96,6 +104,20 @@ StrictOption = Annotated[
         "--strict",
         help="If OUT would not hold everything that is in IN, write nothing, name what is missing, and end with exit "
         "status 2. Without this, a warning names it.",
+    ),
+]
+
+
+FieldsOption = Annotated[
+    Fields,
+    typer.Option(
+        help="What becomes of fields of floats where vertices and triangles move. interpolate: point fields are read "
+        "from the old mesh at the new positions, cell fields are averaged over the old triangles that a new one "
+        "covers (integers in cells: the largest part decides). carry: values ride with their vertices, and cell "
+        "fields of changed triangles go. drop: these fields are left out. Vectors of motion always ride: fields "
+        "named displacement, displ, disp, deformation, motion, mesh_displacement, mesh_motion, point_displacement, "
+        "node_displacement, nodal_displacement or total_displacement. So do integers at points, and region tags "
+        "follow the interfaces."
     ),
 ]
 

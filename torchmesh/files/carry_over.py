@@ -9,23 +9,32 @@ import torch
 from ..mesh.batch import MeshBatch, lift
 from .content import Content
 from .correspondence import Correspondence
+from .field_transfer import FieldTransfer, is_floating, is_motion
 from .fields import is_numbering, on_triangles, region_names
 from .source import default_fixed
 
 
 class _Block(NamedTuple):
-    """Cells to write: their type, their vertices (n, k), and for each the file's cell (counted over all blocks)."""
+    """Cells to write.
+
+    type      their type
+    data      (n, k) their vertices
+    origin    (n,) for each the file's cell, counted over all blocks
+    triangle  (n,) which triangle of the mesh each one is; None for other cells
+    """
 
     type: str
     data: np.ndarray
     origin: np.ndarray
+    triangle: np.ndarray | None = None
 
 
-def carried(mesh: MeshBatch, old: Correspondence) -> tuple[meshio.Mesh, list[str]]:
-    """The file's mesh with the new triangles, to be written; and names for what has to be left out of it."""
+def carried(mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None = None) -> tuple[meshio.Mesh, list[str]]:
+    """The file's mesh with the new triangles, to be written; and names for what has to be left out of it.
+
+    fields  transfers the fields to where vertices and triangles are now; None: they ride with vertices and rows
+    """
     file, dropped = old.source.content.mesh, []
-    names = [name for name in file.cell_data if not old.changed or _survives(old, name)]
-    dropped += [f"cell data {name!r}" for name in file.cell_data if name not in names]
     sets = list(file.cell_sets) if old.example is not None else []
     dropped += [f"cell set {name!r}" for name in file.cell_sets if name not in sets]
     blocks = _blocks(old)
@@ -34,16 +43,14 @@ def carried(mesh: MeshBatch, old: Correspondence) -> tuple[meshio.Mesh, list[str
     if lost:
         dropped.append(f"{lost} cells whose vertices are gone")
     result = meshio.Mesh(_positions(mesh, old), [meshio.CellBlock(b.type, b.data) for b in blocks])
-    for name in names:
-        values = np.concatenate(file.cell_data[name])
-        result.cell_data[name] = [values[b.origin] for b in blocks]
+    dropped += _carry_cell_data(old, fields, blocks, result)
     ends = np.cumsum([0] + [len(b.data) for b in file.cells])
     for name in sets:
         member = np.zeros(ends[-1], bool)
         for start, rows in zip(ends[:-1], file.cell_sets[name], strict=True):
             member[start + rows] = True
         result.cell_sets[name] = [np.flatnonzero(member[b.origin]) for b in blocks]
-    dropped += _carry_point_data(old, result)
+    dropped += _carry_point_data(old, fields, result)
     _mark_fixed(mesh, old, result)
     result.field_data, result.info = file.field_data, file.info
     # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.
@@ -51,15 +58,45 @@ def carried(mesh: MeshBatch, old: Correspondence) -> tuple[meshio.Mesh, list[str
     return result, dropped
 
 
-def _survives(old: Correspondence, name: str) -> bool:
-    """Does cell data hold for changed triangles?
+def _carry_cell_data(
+    old: Correspondence, fields: FieldTransfer | None, blocks: list[_Block], result: meshio.Mesh
+) -> list[str]:
+    """Gives `result` the cell data; returns names for what has no values in the new triangles."""
+    content, dropped = old.source.content, []
+    regions = region_names(content.mesh)
+    for name, given in content.mesh.cell_data.items():
+        values, made = np.concatenate(given), None
+        on_rows = on_triangles(content.mesh, given)
+        if _is_transferred(fields, name, on_rows, regions):
+            assert fields is not None
+            if fields.drops:
+                fields.summary.dropped.append(name)
+                continue
+            made = fields.in_triangles(name, on_rows[content.first])
+        elif old.changed and not _survives(old, name, on_rows, regions):
+            dropped.append(f"cell data {name!r}")
+            continue
+        result.cell_data[name] = [
+            values[b.origin] if made is None or b.triangle is None else made[b.triangle] for b in blocks
+        ]
+    return dropped
+
+
+def _is_transferred(fields: FieldTransfer | None, name: str, values: np.ndarray, regions: list[str]) -> bool:
+    """Is cell data a property of the place?  Region tags follow the interfaces, and numbers of cells their rows."""
+    if fields is None or fields.unchanged or name in regions:
+        return False
+    return is_floating(values) or not (fields.drops or is_numbering(values))
+
+
+def _survives(old: Correspondence, name: str, values: np.ndarray, regions: list[str]) -> bool:
+    """Does cell data, whose rows of triangles are `values`, hold for changed triangles?
 
     Region tags do, if the regions can be told; so do the numbers of the rows, if the rows are the same.
     """
-    file = old.source.content.mesh
-    if name in region_names(file):
+    if name in regions:
         return old.example is not None
-    return old.same_rows and is_numbering(on_triangles(file, file.cell_data[name]))
+    return old.same_rows and is_numbering(values)
 
 
 def _blocks(old: Correspondence) -> list[_Block]:
@@ -79,7 +116,7 @@ def _blocks(old: Correspondence) -> list[_Block]:
             blocks.append(_Block(block.type, data[keep], start + np.flatnonzero(keep)))
         elif old.same_rows:
             own = content.triangle[row : row + len(block.data)]
-            blocks.append(_Block("triangle", old.faces[own], start + np.arange(len(block.data))))
+            blocks.append(_Block("triangle", old.faces[own], start + np.arange(len(block.data)), own))
             row += len(block.data)
         elif not written:
             written = True
@@ -97,8 +134,8 @@ def _triangle_blocks(content: Content, old: Correspondence) -> list[_Block]:
     first = np.cumsum(copies) - copies
     blocks = []
     for copy in range(int(copies.max())):
-        some = copies[example] > copy
-        blocks.append(_Block("triangle", old.faces[some], cell_of_row[order[first[example[some]] + copy]]))
+        some = np.flatnonzero(copies[example] > copy)
+        blocks.append(_Block("triangle", old.faces[some], cell_of_row[order[first[example[some]] + copy]], some))
     return blocks
 
 
@@ -115,12 +152,21 @@ def _positions(mesh: MeshBatch, old: Correspondence) -> np.ndarray:
     return points
 
 
-def _carry_point_data(old: Correspondence, result: meshio.Mesh) -> list[str]:
+def _carry_point_data(old: Correspondence, fields: FieldTransfer | None, result: meshio.Mesh) -> list[str]:
     """Gives `result` the point data and point sets; returns names for what has no values at new vertices."""
     file, dropped = old.source.content.mesh, []
     for name, values in file.point_data.items():
         if name == "fixed":
             continue
+        if fields is not None and not fields.unchanged and is_floating(values):
+            if is_motion(name):
+                fields.summary.carried.append(name)
+            elif fields.drops:
+                fields.summary.dropped.append(name)
+                continue
+            else:
+                result.point_data[name] = fields.at_points(name, values, old.old_vertex)
+                continue
         if (old.old_vertex >= 0).all():
             result.point_data[name] = values[old.old_vertex]
         elif old.vertex_map is not None:

@@ -22,6 +22,7 @@ from ..mesh.vertex_map import VertexMap
 from .carry_over import carried
 from .correspondence import Correspondence
 from .drafts import Draft
+from .field_transfer import FieldChoice, FieldTransfer, check_choice, mesh_of_values
 from .formats.format import Document
 from .formats.registry import FORMATS, format_of
 from .messages import warn
@@ -75,25 +76,35 @@ def write(
     mesh: MeshBatch,
     like: str | os.PathLike[str] | Source | None = None,
     vertex_map: VertexMap | None = None,
+    *,
+    fields: FieldChoice = "carry",
+    before: MeshBatch | None = None,
 ) -> None:
     """Writes a batch of one in the format of the path's extension, whole or not at all.
 
     With `like`, the file that the mesh was read from (it may be `path` itself), everything else of that file is
     carried over: fields, sets, names, lines, quads, version, text or binary.  Vertices that have not moved keep
-    their coordinates to the bit.  When triangles changed, cell data is dropped unless it tells regions or is a number
-    for every cell.  When the number of triangles or vertices changed, everything is dropped that has no place in the
-    new mesh.  Region tags follow the boundary and the constrained edges, whatever the order of the rows.  A
-    MeshWarning names what was dropped.
+    their coordinates to the bit.  When triangles changed, cell data is dropped unless it tells regions, is a number
+    for every cell, or is transferred (`fields`).  When the number of triangles or vertices changed, everything is
+    dropped that has no place in the new mesh.  Region tags follow the boundary and the constrained edges, whatever the
+    order of the rows.  A MeshWarning names what was dropped.
 
     vertex_map  of a remeshed mesh (`Report.vertex_map`): point data is interpolated at inserted vertices and integers
                 are copied; without it, point data of meshes that got other vertices is dropped
+    fields      "carry": values ride with their vertices, which is right where the domain itself moved.  "interpolate":
+                floating-point data is transferred to where vertices and triangles are now, as by `transfer`, which is
+                right where the domain is the same; vectors of motion (`field_transfer.MOTIONS`) still ride, as do
+                integers at points; integers in cells take the value of the largest overlap.  "drop": what would be
+                transferred is left out
+    before      the mesh that has the values for "interpolate"; None: the mesh of `like`
 
     `fixed` is stored as point data where `like` has it, or where `read` would not find the same without it.  Without
     `like`, constrained edges are stored as line cells.
 
-    Raises MeshIOError, after which no trace is left and an existing file is as it was; and InvalidMeshError for a
-    batch of several meshes.
+    Raises MeshIOError, after which no trace is left and an existing file is as it was; InvalidMeshError for a
+    batch of several meshes; and ValueError for unknown `fields`.
     """
+    check_choice(fields)
     path = as_path(path)
     if len(mesh) != 1:
         raise InvalidMeshError(f"{path}: a file holds one mesh, this batch has {len(mesh)}: write each of mesh.split()")
@@ -102,13 +113,25 @@ def write(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeshWarning)  # they were given when the mesh was read
             like = Source.open(like)
-    made = draft(path, mesh, like, vertex_map)
+    transfer = None
+    if like is not None and fields != "carry":
+        transfer = FieldTransfer(mesh_of_values(path, like.mesh, before), mesh, fields)
+    made = draft(path, mesh, like, vertex_map, transfer)
     made.tell()
     made.save()
 
 
-def draft(path: Path, mesh: MeshBatch, like: Source | None, vertex_map: VertexMap | None = None) -> Draft:
-    """A batch of one, ready to be written at `path`; raises as `write` does."""
+def draft(
+    path: Path,
+    mesh: MeshBatch,
+    like: Source | None,
+    vertex_map: VertexMap | None = None,
+    fields: FieldTransfer | None = None,
+) -> Draft:
+    """A batch of one, ready to be written at `path`; raises as `write` does.
+
+    fields  transfers the fields of `like`; None: they ride with vertices and rows
+    """
     mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     if like is None:
         content = _new_content(mesh)
@@ -116,7 +139,7 @@ def draft(path: Path, mesh: MeshBatch, like: Source | None, vertex_map: VertexMa
         return Draft.of(path, content)
     document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
     same_rows = correspondence.same_rows
-    content, dropped = carried(mesh, correspondence)
+    content, dropped = carried(mesh, correspondence, fields)
     dropped += FORMATS[document.format].left_behind(document, format_of(path), same_rows)
     if correspondence.changed and document.format == format_of(path).name:
         dropped += document.by_element

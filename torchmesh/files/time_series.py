@@ -25,6 +25,7 @@ from ..mesh.batch import MeshBatch, join
 from ..mesh.vertex_map import VertexMap
 from .atomic import replacing
 from .drafts import Draft
+from .field_transfer import FieldChoice, FieldSummary, FieldTransfer, check_choice, mesh_of_values
 from .formats.format import Document
 from .formats.registry import format_of
 from .formats.xdmf import XDMF, is_series
@@ -99,19 +100,27 @@ def write_series(
     batch: MeshBatch,
     like: Series,
     vertex_maps: Sequence[VertexMap] | None = None,
-) -> None:
+    *,
+    fields: FieldChoice = "carry",
+    before: MeshBatch | None = None,
+) -> FieldSummary:
     """Writes the steps of `like` with the vertices and triangles of `batch`, whole or not at all.
 
     batch        as many meshes as `like.batch` has, in its order; data is carried over as by `write`
     vertex_maps  of remeshed meshes, one for each mesh of `batch` (`report.vertex_map.split(like.batch, batch)`):
                  point data is interpolated at inserted vertices; without them, point data is dropped there
+    fields       as for `write`
+    before       the meshes that have the values for "interpolate", as many as `like.batch` has; None: `like.batch`
+
+    Returns what became of the fields, which is nothing under "carry".
 
     A series of several steps is written as .xdmf, with its data as text in the one file; a single step in any
     format.  Raises as `write` does.
     """
-    made = draft_series(path, batch, like, vertex_maps)
+    made = draft_series(path, batch, like, vertex_maps, fields=fields, before=before)
     made.tell()
     made.save()
+    return made.fields
 
 
 def draft_series(
@@ -119,6 +128,9 @@ def draft_series(
     batch: MeshBatch,
     like: Series,
     vertex_maps: Sequence[VertexMap] | None = None,
+    *,
+    fields: FieldChoice = "carry",
+    before: MeshBatch | None = None,
 ) -> "SeriesDraft":
     """The steps of `like`, ready to be written; arguments and errors are those of `write_series`."""
     path = Path(path)
@@ -127,21 +139,32 @@ def draft_series(
         raise InvalidMeshError(f"{path}: the series has {len(like.batch)} meshes, the batch has {len(meshes)}")
     if vertex_maps is not None and len(vertex_maps) != len(meshes):
         raise InvalidMeshError(f"{path}: there are {len(vertex_maps)} vertex maps for {len(meshes)} meshes")
+    check_choice(fields)
     maps = [None] * len(meshes) if vertex_maps is None else vertex_maps
+    transfers: list[FieldTransfer | None] = [None] * len(meshes)
+    if fields != "carry":
+        given = mesh_of_values(path, like.batch, before).split()
+        transfers = [FieldTransfer(one, other, fields) for one, other in zip(given, meshes, strict=True)]
     form = format_of(path)
     if len(like) > 1 and form is not XDMF:
         raise MeshIOError(f"{path}: {form.name} files hold one step, the series has {len(like)}: write .xdmf")
     pairs = zip(like.mesh_of_step, like.sources, strict=True)
-    return SeriesDraft(path, like.times, [draft(path, meshes[m], source, maps[m]) for m, source in pairs])
+    steps = [draft(path, meshes[m], source, maps[m], transfers[m]) for m, source in pairs]
+    summary = sum((one.summary for one in transfers if one is not None), FieldSummary())
+    return SeriesDraft(path, like.times, steps, summary)
 
 
 @dataclass(frozen=True, eq=False)
 class SeriesDraft:
-    """The steps of a file before they are written: their times, and a draft of each at the path of the whole file."""
+    """The steps of a file before they are written: their times, and a draft of each at the path of the whole file.
+
+    fields  what became of the fields of all meshes together
+    """
 
     path: Path
     times: list[float]
     steps: list[Draft]
+    fields: FieldSummary
 
     @property
     def lost(self) -> list[str]:

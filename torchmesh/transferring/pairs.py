@@ -50,16 +50,16 @@ class Side:
 
 def both_sides(before: MeshBatch, after: MeshBatch) -> tuple[Side, Side]:
     """The two batches in the units of the meshes of `before`."""
-    centre, unit = centre_and_unit(before.points.detach().cpu(), before.point_offsets.cpu())
+    centre, unit = centre_and_unit(_of_triangles(before), before.point_offsets.cpu())
     centre = torch.where(counts_from_offsets(before.point_offsets.cpu())[:, None] > 0, centre, 0.0) / unit[:, None]
     sides = []
+    largest = torch.ones(len(before), dtype=torch.float64)
     for batch in (before, after):
         vertex, triangle = vertex_mesh(batch).cpu(), triangle_mesh(batch).cpu()
-        points = batch.points.detach().cpu().to(torch.float64) / unit[vertex][:, None]
+        given, used = batch.points.detach().cpu().to(torch.float64), _of_triangles(batch)
+        points = torch.where(given.isfinite(), given, used) / unit[vertex][:, None]
+        largest.scatter_reduce_(0, vertex, (used / unit[vertex][:, None]).abs().amax(1), "amax")
         sides.append((points, batch.triangles.cpu(), vertex, triangle))
-    largest = torch.ones(len(before), dtype=torch.float64)
-    for points, _, vertex, _ in sides:
-        largest.scatter_reduce_(0, vertex, points.abs().amax(1), "amax")
     epsilon = max(torch.finfo(batch.points.dtype).eps for batch in (before, after))
     slack = (32 * epsilon * largest).numpy()
     one, two = (
@@ -70,6 +70,18 @@ def both_sides(before: MeshBatch, after: MeshBatch) -> tuple[Side, Side]:
         for points, faces, vertex, triangle in sides
     )  # fmt: skip
     return one, two
+
+
+def _of_triangles(batch: MeshBatch) -> torch.Tensor:
+    """(V, 2) float64 the points; those of no triangle, which may be far outside or NaN, stand at a corner of one."""
+    points, faces = batch.points.detach().cpu().to(torch.float64), batch.triangles.cpu()
+    used = torch.zeros(len(points), dtype=torch.bool)
+    used[faces.reshape(-1)] = True
+    if bool(used.all()) or not len(faces):
+        return points
+    first = batch.triangle_offsets[:-1].cpu().clamp(max=len(faces) - 1)
+    corner = points[faces[first, 0]][vertex_mesh(batch).cpu()]
+    return torch.where(used[:, None], points, corner)
 
 
 def touching_boxes(

@@ -172,7 +172,9 @@ def prepared(before: MeshBatch, after: MeshBatch, where: Where = "points", metho
     if len(before) != len(after):
         raise InvalidMeshError(f"there are {len(before)} meshes before and {len(after)} after: give as many of both")
     for name, batch in (("before", before), ("after", after)):
-        bad = ~batch.points.isfinite().all(1)
+        bad = torch.zeros(len(batch.points), dtype=torch.bool, device=batch.points.device)
+        bad[batch.triangles.reshape(-1)] = True  # vertices of no triangle may be anything
+        bad &= ~batch.points.isfinite().all(1)
         if bool(bad.any()):
             raise InvalidMeshError(f"{name}: points row {int(bad.nonzero()[0])} is not finite")
     sides = both_sides(before, after)
@@ -193,7 +195,8 @@ def _unmoved(before: MeshBatch, after: MeshBatch) -> np.ndarray:
     row[(counts != now)[owner]] = -1
     old, new = before.points.detach().cpu(), after.points.detach().cpu()
     candidates = (row >= 0).nonzero().squeeze(1)
-    same = (old[row[candidates]] == new[candidates]).all(1)
+    here, there = old[row[candidates]], new[candidates]
+    same = ((here == there) | (here.isnan() & there.isnan())).all(1)
     row[candidates[~same]] = -1
     return row.numpy()
 
