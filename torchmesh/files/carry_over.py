@@ -43,7 +43,7 @@ def carried(mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None =
     if lost:
         dropped.append(f"{lost} cells whose vertices are gone")
     result = meshio.Mesh(_positions(mesh, old), [meshio.CellBlock(b.type, b.data) for b in blocks])
-    dropped += _carry_cell_data(old, fields, blocks, result)
+    dropped = _carry_cell_data(old, fields, blocks, result) + dropped
     ends = np.cumsum([0] + [len(b.data) for b in file.cells])
     for name in sets:
         member = np.zeros(ends[-1], bool)
