@@ -227,3 +227,62 @@ def test_a_newer_version_is_told(path):
         file.attrs["version"] = storage._VERSION + 1
     with pytest.raises(tm.MeshIOError, match="newer torchmesh"):
         tm.load_batch(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "message"),
+    [
+        ("points", np.zeros((15, 3)), "points is a table of float64"),
+        ("points", np.zeros((15, 2), np.float16), "neither single nor double"),
+        ("points", np.zeros((15, 2), int), "points is a table of int64"),
+        ("triangles", np.zeros((15, 3)), "triangles is a table of float64"),
+        ("triangles", np.zeros(15, int), "not of rows of shape"),
+        ("constrained_edges", np.zeros((0, 3), int), "constrained_edges is a table"),
+        ("frames", np.zeros((15, 9)), "frames is a table"),
+        ("points_offsets", np.zeros(16), "points_offsets is a table"),
+        ("points_offsets", 3, "points_offsets is no table"),
+        ("point_fields", 3, "point_fields is no group"),
+        ("point_fields/u", np.zeros(3), "point_fields/u does not have"),
+    ],
+)
+def test_tables_of_another_shape_or_type_are_told_when_the_file_is_opened(path, name, table, message):
+    tm.save_batch(path, everything())
+    with h5py.File(path, "a") as file:
+        if name in file:
+            del file[name]
+        file[name] = table
+    with pytest.raises(tm.MeshIOError, match=message):
+        tm.BatchFile(path)
+    with pytest.raises(tm.MeshIOError, match=message):
+        tm.datasets.MeshDataset(path)
+
+
+@pytest.mark.parametrize("name", ["points", "triangles", "mesh_fields/n"])
+def test_a_table_that_states_more_than_it_can_hold_is_told(path, name):
+    tm.save_batch(path, grid(), mesh_fields={"n": torch.zeros(1)})
+    with h5py.File(path, "a") as file:
+        table = file[name]
+        shape, kind = (10**12, *table.shape[1:]), table.dtype
+        del file[name]
+        file.create_dataset(name, shape, kind, chunks=(1000, *shape[1:]))
+    with pytest.raises(tm.MeshIOError, match=rf"{name} says that it has .* bytes, and is stored in 0"):
+        tm.load_batch(path)
+
+
+def test_the_version_is_a_number(path):
+    tm.save_batch(path, grid())
+    with h5py.File(path, "a") as file:
+        file.attrs["version"] = "one"
+    with pytest.raises(tm.MeshIOError, match=r"meshes\.h5: cannot be read"):
+        tm.load_batch(path)
+
+
+def test_many_meshes_that_are_the_same_come_back_and_are_read_in_parts_if_they_swell(path, monkeypatch):
+    batch = tm.join([grid()] * 200)
+    tm.save_batch(path, batch)
+    assert torch.equal(tm.load_batch(path).points, batch.points)
+    monkeypatch.setattr(storage, "_AT_ONCE", 1000)
+    monkeypatch.setattr(storage, "_FACTOR", 1)
+    with pytest.raises(tm.MeshIOError, match="read fewer meshes at once"):
+        tm.load_batch(path)
+    assert torch.equal(tm.load_batch(path, 7).points, grid().points)

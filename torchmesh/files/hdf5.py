@@ -30,6 +30,7 @@ from ..errors import InvalidMeshError, MeshIOError
 from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from .atomic import replacing
+from .messages import about
 
 _FORMAT, _VERSION = "torchmesh meshes", 1
 
@@ -37,6 +38,25 @@ _FORMAT, _VERSION = "torchmesh meshes", 1
 _CHUNK_ROWS = 8192
 
 _TABLES = ("points", "triangles", "constrained_edges")
+
+# The shape of a row of each table, and the kinds of numbers that it may hold, as numpy has them.
+_SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
+    "points": ((2,), "f"),
+    "fixed": ((), "biu"),
+    "triangles": ((3,), "iu"),
+    "constrained_edges": ((2,), "iu"),
+    "frames": ((3, 3), "f"),
+    **{f"{name}_offsets": ((), "iu") for name in _TABLES},
+}
+
+# The greatest factor by which deflate can compress (RFC 1951): what is stated beyond it was never stored.
+_DEFLATE = 1032
+
+# Bytes of a table that do no harm, however few of them are stored.
+_HARMLESS = 1 << 26
+
+# A table of more bytes that is compressed by more than this factor is not unpacked at once.
+_AT_ONCE, _FACTOR = 1 << 30, 200
 
 # Which meshes of a file: all (None), one by its number, a slice, or numbers in any order.
 Meshes = int | slice | Sequence[int] | None
@@ -232,16 +252,60 @@ class BatchFile:
             ]
             if missing:
                 raise MeshIOError(f"{path}: damaged, it lacks {', '.join(missing)}")
+            self._check_shapes()
             self._offsets = {name: self._ends(name) for name in _TABLES}
-        if len({len(ends) for ends in self._offsets.values()} | {len(self._file["frames"]) + 1}) > 1:
-            raise MeshIOError(f"{path}: damaged, its tables differ in their number of meshes")
-        if len(self._file["fixed"]) != len(self._file["points"]):
-            raise MeshIOError(f"{path}: damaged, 'fixed' and 'points' differ in length")
+
+    def _check_shapes(self) -> None:
+        """Raises MeshIOError for a table whose shape or type is not that of its kind; nothing is read for that."""
+        meshes, points = self._length("points_offsets") - 1, self._length("points")
+        for name, (shape, kinds) in _SHAPES.items():
+            table = self._table(name)
+            if table.dtype.kind not in kinds or table.shape[1:] != shape:
+                found = f"{table.dtype} {table.shape}"
+                raise MeshIOError(
+                    f"{self.path}: damaged, {name} is a table of {found}, and not of rows of shape {shape}"
+                )
+        if self._table("points").dtype.itemsize not in (4, 8):
+            raise MeshIOError(f"{self.path}: damaged, its points are neither single nor double precision")
+        if len({self._length(f"{name}_offsets") for name in _TABLES} | {self._length("frames") + 1}) > 1:
+            raise MeshIOError(f"{self.path}: damaged, its tables differ in their number of meshes")
+        if self._length("fixed") != points:
+            raise MeshIOError(f"{self.path}: damaged, 'fixed' and 'points' differ in length")
+        for group, count in (("point_fields", points), ("mesh_fields", meshes)):
+            for name in self._names(group):
+                if self._length(f"{group}/{name}") != count:
+                    raise MeshIOError(f"{self.path}: damaged, {group}/{name} does not have {count} rows")
+
+    def _table(self, name: str) -> Any:
+        """A dataset by its name.  Raises MeshIOError if it is none, or states more rows than it can have."""
+        import h5py
+
+        table = self._file.get(name)
+        if not isinstance(table, h5py.Dataset) or not table.shape:
+            raise MeshIOError(f"{self.path}: damaged, {name} is no table")
+        needed, stored = table.size * table.dtype.itemsize, table.id.get_storage_size()
+        if needed > max(_HARMLESS, _DEFLATE * stored):
+            raise MeshIOError(
+                f"{self.path}: damaged, {name} says that it has {needed:.3g} bytes, and is stored in {stored:.3g}"
+            )
+        return table
+
+    def _length(self, name: str) -> int:
+        return int(self._table(name).shape[0])
+
+    def _names(self, group: str) -> list[str]:
+        """The names in a group of fields; none if the group is missing."""
+        import h5py
+
+        fields = self._file.get(group, {})
+        if not isinstance(fields, h5py.Group | dict):
+            raise MeshIOError(f"{self.path}: damaged, {group} is no group of fields")
+        return list(fields)
 
     def _ends(self, name: str) -> np.ndarray:
         """(B+1,) the row of a table at which each mesh begins, and the end."""
-        ends = self._file[f"{name}_offsets"][:].astype(np.int64)
-        if not len(ends) or ends[0] != 0 or (np.diff(ends) < 0).any() or ends[-1] != len(self._file[name]):
+        ends = self._table(f"{name}_offsets")[:].astype(np.int64)
+        if not len(ends) or ends[0] != 0 or (np.diff(ends) < 0).any() or ends[-1] != self._length(name):
             raise MeshIOError(f"{self.path}: damaged, {name}_offsets do not fit {name}")
         return ends
 
@@ -251,7 +315,7 @@ class BatchFile:
     @property
     def point_fields(self) -> list[str]:
         """The names of the fields that belong to the points."""
-        return list(self._file.get("point_fields", ()))
+        return self._names("point_fields")
 
     def __enter__(self) -> "BatchFile":
         return self
@@ -293,7 +357,7 @@ class BatchFile:
         out: tuple[dict[str, Tensor], dict[str, Any]] = {}, {}
         with _as_our_errors(self.path, "cannot be read"):
             for group, table, record in zip(("point_fields", "mesh_fields"), ("points", None), out, strict=True):
-                for name in self._file.get(group, ()):
+                for name in self._names(group):
                     record[name] = self._gather(f"{group}/{name}", table, rows)
         return out
 
@@ -321,14 +385,24 @@ class BatchFile:
 
         table  whose offsets the dataset has; None: it has a row for each mesh
         """
-        dataset = self._file[name]
+        dataset = self._table(name)
         ends = np.arange(len(self) + 1) if table is None else self._offsets[table]
         breaks = np.flatnonzero(np.diff(rows) != 1) + 1
         runs = itertools.pairwise([0, *breaks.tolist(), len(rows)])
+        self._check_request(dataset, int((ends[rows + 1] - ends[rows]).sum()))
         parts = [dataset[ends[rows[i]] : ends[rows[j - 1] + 1]] for i, j in runs if j > i]
         if dataset.dtype.kind == "O":
             return [value.decode() for part in parts for value in part]
         return torch.from_numpy(np.concatenate(parts) if parts else dataset[:0])
+
+    def _check_request(self, dataset: Any, rows: int) -> None:
+        """Raises MeshIOError for so many rows of compressed data that they would fill the memory of most machines."""
+        needed = rows * dataset.dtype.itemsize * int(np.prod(dataset.shape[1:], dtype=np.int64))
+        if needed > _AT_ONCE and needed > _FACTOR * dataset.id.get_storage_size():
+            raise MeshIOError(
+                f"{self.path}: {dataset.name} would swell to {needed:.3g} bytes, so that it may be damaged; "
+                "if not, read fewer meshes at once"
+            )
 
 
 @contextlib.contextmanager
@@ -340,6 +414,6 @@ def _as_our_errors(path: Path, what: str) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise MeshIOError(f"{path}: there is no such file") from None
-    except (OSError, KeyError, RuntimeError, ValueError) as error:
+    except Exception as error:
         reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
-        raise MeshIOError(f"{path}: {what}; not a file of torchmesh.save_batch, or damaged: {reason}") from None
+        raise MeshIOError(about(path, f"{what}; not a file of torchmesh.save_batch, or damaged: {reason}")) from None

@@ -44,6 +44,49 @@ def printable(value: Any) -> Any:
         return value.encode(errors="backslashreplace").decode()
 
 
+# Characters of an error about a file at most, and of the file's name in it.
+_LONGEST, _LONGEST_NAME = 300, 180
+
+
+def about(path: Path, text: str) -> str:
+    """One line of at most 300 characters about a file: its name, a colon, and the text, in which nothing is control.
+
+    A name of more than 180 characters loses its middle; the text loses its end.
+    """
+    name = str(path)
+    if len(name) > _LONGEST_NAME:
+        name = f"{name[: _LONGEST_NAME // 3]}...{name[3 - 2 * _LONGEST_NAME // 3 :]}"
+    text = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    left = _LONGEST - len(name) - 2
+    return f"{name}: {text if len(text) <= left else text[: left - 3] + '...'}"
+
+
+@contextlib.contextmanager
+def in_one_line(path: Path) -> Iterator[None]:
+    """Inside, errors about a file become one line of at most 300 characters.
+
+    What is no MeshError becomes one: a file can hold what no reader has foreseen.
+    """
+    try:
+        yield
+    except (MeshError, OSError) as error:
+        text = str(error).removeprefix(f"{path}: ")
+        line = about(path, text)
+        if not isinstance(error, MeshError) or line == str(error) or str(path) not in str(error):
+            raise
+        raise type(error)(line) from None
+    except Exception as error:
+        text = f"it has what is not understood ({type(error).__name__}: {error}); {_ADVICE}"
+        raise MeshIOError(about(path, text)) from None
+
+
+# Characters of what a library says, of which more is seldom of use.
+_LONGEST_REASON = 150
+
+# What to do with a file that cannot be read.
+_ADVICE = "write it anew, or as .vtu"
+
+
 @contextlib.contextmanager
 def translated(path: Path, verb: str, form: str) -> Iterator[None]:
     """Inside, a library prints nothing and raises nothing foreign.
@@ -70,11 +113,15 @@ def translated(path: Path, verb: str, form: str) -> Iterator[None]:
         ) from None
     except (Exception, SystemExit) as error:
         what = f"read as {form}" if verb == "read" else "written"
-        raise MeshIOError(f"{path}: cannot be {what}: {_reason(error, said.getvalue(), verb)}") from None
+        reason = _reason(error, said.getvalue(), verb)
+        advice = f"; {_ADVICE}" if verb == "read" else ""
+        if len(reason) > _LONGEST_REASON:
+            reason = f"{reason[:_LONGEST_REASON]}..."
+        raise MeshIOError(about(path, f"cannot be {what}: {reason}{advice}")) from None
     for remark in re.split(r"(?:Warning|Info|Error):", said.getvalue()):
         remark = " ".join(remark.split())
         if not _NOISE.search(remark):
-            warn(f"{path}: {remark}")
+            warn(about(path, remark))
 
 
 def _reason(error: BaseException, said: str, verb: str) -> str:

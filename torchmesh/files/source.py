@@ -14,7 +14,7 @@ from ..mesh.batch import MeshBatch
 from .content import Content
 from .documents import load
 from .formats.format import Document
-from .messages import warn
+from .messages import in_one_line, warn
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,10 @@ class Source:
 
     @classmethod
     def of(cls, document: Document, path: Path) -> "Source":
-        """Raises InvalidMeshError and warns as `read` does."""
-        content = Content.of(document, path)
-        return cls(path, document, content, _batch(content, path))
+        """Raises InvalidMeshError and MeshIOError and warns as `read` does."""
+        with in_one_line(path):
+            content = Content.of(document, path)
+            return cls(path, document, content, _batch(content, path))
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:

@@ -28,7 +28,7 @@ from .drafts import Draft
 from .field_transfer import FieldChoice, FieldSummary, FieldTransfer, check_choice, mesh_of_values
 from .formats.format import Document
 from .formats.registry import format_of
-from .formats.xdmf import XDMF, is_series
+from .formats.xdmf import XDMF, check_data_files, is_series
 from .mesh_files import draft
 from .messages import translated, warn
 from .source import Source
@@ -215,6 +215,7 @@ def _as_step(path: Path, step: int, time: float) -> ET.Element:
 def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
     """Time and mesh of each step.  meshio reads each grid of the collection as if it were a file of its own."""
     with translated(path, "read", XDMF.name):
+        check_data_files(path)
         domain = ET.parse(path).getroot().find("Domain")
         if domain is None:
             raise ValueError("it has no Domain")

@@ -44,8 +44,9 @@ class AbaqusFormat(DeckFormat):
 
 
 ABAQUS = AbaqusFormat(
-    "abaqus", (".inp",), (*LINEAR, "higher"), point_data="none", cell_data="none", cell_sets=True, point_sets=True
-)
+    "abaqus", (".inp",), (*LINEAR, "higher"), point_data="none", cell_data="none", cell_sets=True, point_sets=True,
+    counts=False,
+)  # fmt: skip
 
 
 @dataclass
@@ -171,7 +172,9 @@ class _Reader:
         """Adds the members of *NSET or *ELSET, which may be names of earlier sets."""
         kind, own = card.keyword, self._scope(card)
         found = self.sets[kind].setdefault((card.scope, card.params.get(kind, "").upper()), [])
-        for text in set_members(card, self.lines):
+        table = self.nodes if kind == "NSET" else self.elements
+        known = {number for scope, number in table if scope == own} if "GENERATE" in card.params else ()
+        for text in set_members(card, self.lines, known):
             found.extend(self._named(kind, text, own))
 
     def _named(self, kind: str, text: str, scope: str) -> list[tuple[str, int]]:
@@ -212,8 +215,8 @@ class _Reader:
             elif card.keyword == "ELEMENT" and "ELSET" in card.params:
                 used.add(card.params["ELSET"].upper())
         for card in self.cards:
-            if card.keyword == "ELSET":
-                used |= {text.upper() for text in set_members(card, self.lines) if not text.isdigit()}
+            if card.keyword == "ELSET" and "GENERATE" not in card.params:
+                used |= {text.upper() for text in set_members(card, self.lines, ()) if not text.isdigit()}
         self._bind_single_elements(whole)
         return {key for key in self.sets["ELSET"] if key[1] in surface - used}
 

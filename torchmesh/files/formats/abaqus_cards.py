@@ -6,7 +6,7 @@
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
 _ITEM = re.compile(r"[^,]*")
@@ -106,14 +106,15 @@ def rows(card: Card, lines: list[str]) -> Iterator[list[tuple[int, int, int, str
         yield record
 
 
-def set_members(card: Card, lines: list[str]) -> Iterator[str]:
-    """The items of a set, with GENERATE written out."""
+def set_members(card: Card, lines: list[str], known: Collection[int]) -> Iterator[str]:
+    """The items of a set, with GENERATE written out; of a run with more numbers than there are, those `known`."""
     if "GENERATE" not in card.params:
         yield from (item for number in card.data for _, _, item in items(lines[number]) if item)
         return
     for number in card.data:
         first, last, step = [*(int(text) for _, _, text in items(lines[number])), 1][:3]
-        yield from map(str, range(first, last + 1, step or 1))
+        run = range(first, last + 1, step or 1)
+        yield from map(str, run if len(run) <= len(known) else sorted(number for number in known if number in run))
 
 
 def element_kind(name: str, nodes: int) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import meshio
 import numpy as np
 
+from ..swelling import check_netcdf
 from .deck import triangles_of
 from .format import LINEAR, Document, Format
 from .meshio_formats import MeshioFormat
@@ -70,6 +71,7 @@ class ExodusFormat(MeshioFormat):
     def read(self, path: Path) -> Document:
         import netCDF4
 
+        check_netcdf(path)
         with netCDF4.Dataset(str(path)) as data:
             data.set_auto_mask(False)
             mesh, file = _read_cells(data, path.read_bytes())

@@ -60,6 +60,7 @@ class Format(abc.ABC):
     field_data   can it hold data of the whole mesh, or names of groups
     planar       have its points two coordinates instead of three
     index_type   the integer type of cell rows where it must be a certain one
+    counts       does a file say how many points and cells it has, or where it ends
     """
 
     name: str
@@ -74,6 +75,7 @@ class Format(abc.ABC):
     field_data: bool = False
     planar: bool = False
     index_type: type | None = None
+    counts: bool = True
 
     @abc.abstractmethod
     def read(self, path: Path) -> Document:

@@ -9,6 +9,7 @@ from typing import Any
 import meshio
 import numpy as np
 
+from ..swelling import check_swelling
 from .gmsh_file import KINDS, TAGS, Elements, MshFile, Nodes, data_name
 
 
@@ -243,6 +244,7 @@ def _data(payload: bytes, binary: bool) -> tuple[str, np.ndarray, np.ndarray]:
 
 def _scattered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """(count, ...) the values at their rows; NaN in rows that the file leaves out."""
+    check_swelling(8 * count * values.shape[1], values.nbytes)
     out = np.full((count, values.shape[1]), np.nan)
     out[rows] = values
     return out[:, 0] if out.shape[1] == 1 else out
@@ -276,6 +278,8 @@ def _periodic_22(payload: bytes) -> np.ndarray:
     for _ in range(int(lines[0][0]) if lines else 0):
         at += 1 + (lines[at + 1][0] == "Affine")
         count = int(lines[at][0])
+        if count < 0:
+            raise ValueError("$Periodic has a negative number of nodes")
         found += [int(word) for words in lines[at + 1 : at + 1 + count] for word in words]
         at += 1 + count
     return np.array(found, np.int64)

@@ -11,6 +11,16 @@ from typing import Any
 import meshio
 import numpy as np
 
+from ..swelling import check_hdf5
+from .checks import (
+    check_avs,
+    check_dolfin,
+    check_off,
+    check_permas,
+    check_ply,
+    check_stl,
+    is_binary_stl,
+)
 from .format import FLAT, LINEAR, Document, Format
 
 HEAD = 4096  # bytes in which a file says whether it is text or binary
@@ -23,36 +33,50 @@ _MADE_ANEW = ("facet_normals", "GLOBAL_ID")
 class MeshioFormat(Format):
     """A format of meshio.
 
-    inspect        says whether the bytes of a file are binary; raises ValueError for a file that is cut short where
-                   meshio would take it for a smaller one or never return; None: there is nothing to find out
+    check          raises ValueError for the bytes of a file that is cut short or lies, where meshio would take it for
+                   a smaller one, allocate without bound or never return; None: meshio notices
+    check_file     the same for a file that a library opens by itself
+    is_binary      says whether the bytes of a file are binary; None: there is nothing to find out
     cell_count     the number of cells in the bytes of a file, as the first group of a regular expression
-    guarded        meshio would read for ever past the end of the file, which it reads as "bytes" or "text"
+    stream         the file is handed to meshio as "bytes" or "text", in a stream that raises when it is read past its
+                   end again and again, as meshio does in many loops; "": meshio opens it
     binary_option  can meshio write it both as text and as binary
     in_memory      is it written to memory first, because HDF5 crashes the process when a disk is full
     """
 
-    inspect: Callable[[bytes], bool | None] | None = None
+    check: Callable[[bytes], None] | None = None
+    check_file: Callable[[Path], None] | None = None
+    is_binary: Callable[[bytes], bool] | None = None
     cell_count: bytes = b""
-    guarded: str = ""
+    stream: str = ""
     binary_option: bool = False
     in_memory: bool = False
 
     def read(self, path: Path) -> Document:
-        data = path.read_bytes() if self.inspect or self.cell_count else b""
-        binary = self.inspect(data) if self.inspect else None
-        reader = importlib.import_module(f"meshio.{self.name.removesuffix('-xml')}")
-        if self.guarded:
-            with _GuardedBytes(io.FileIO(path)) as stream:
-                mesh = reader.read(stream if self.guarded == "bytes" else _GuardedText(stream))
-        else:
-            mesh = reader.read(str(path))
+        data = b"" if self.check_file else path.read_bytes()
+        if self.check_file:
+            self.check_file(path)
+        if self.check:
+            self.check(data)
+        mesh = self.parse(path, data)
         said = re.search(self.cell_count, data) if self.cell_count else None
         found = sum(len(block) for block in mesh.cells)
         if said and int(said[1]) != found:
             raise ValueError(f"of its {int(said[1])} cells only {found} could be read")
         mesh.cell_data.pop(_MADE_ANEW[0], None)
         mesh.point_data.pop(_MADE_ANEW[1], None)
-        return Document(mesh, self.name, binary)
+        return Document(mesh, self.name, self.is_binary(data) if self.is_binary else None)
+
+    def parse(self, path: Path, data: bytes) -> meshio.Mesh:
+        """The mesh of a file that has passed the checks; `data` are its bytes."""
+        reader = importlib.import_module(f"meshio.{self.name.removesuffix('-xml')}")
+        # meshio knows by the name whether a Medit file is binary, and reads that without lines.
+        if not self.stream or path.suffix.lower() == ".meshb":
+            return reader.read(str(path))
+        with _GuardedBytes(io.FileIO(path)) as stream:
+            if self.stream == "bytes":
+                return reader.read(stream)
+            return reader.read(_GuardedText(stream, encoding="utf-8", errors="surrogateescape"))
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         if self.in_memory:
@@ -86,26 +110,11 @@ class _GuardedText(_Guard, io.TextIOWrapper):  # type: ignore[misc]
     pass
 
 
-def _inspect_ply(data: bytes) -> bool:
-    if b"end_header" not in data:
-        raise ValueError("its header has no end")
+def _is_binary_ply(data: bytes) -> bool:
     return b"format ascii" not in data[:HEAD]
 
 
-def _inspect_stl(data: bytes) -> bool:
-    # A binary file has a head of 80 bytes, the number of triangles, and 50 bytes for each.
-    binary = len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
-    if not binary and b"endsolid" not in data[-500:]:
-        raise ValueError("it does not end with endsolid: truncated")
-    return binary
-
-
-def _inspect_permas(data: bytes) -> None:
-    if b"$FIN" not in data:
-        raise ValueError("it does not end with $FIN: truncated")
-
-
-def _inspect_tecplot(data: bytes) -> None:
+def _check_tecplot(data: bytes) -> None:
     zones = len(re.findall(rb"^[ \t]*ZONE\b", data, re.IGNORECASE | re.MULTILINE))
     if zones > 1:
         raise ValueError(f"it has {zones} zones, and only one would come back; give each zone its own file")
@@ -116,24 +125,33 @@ _NO_DATA: dict[str, Any] = {"point_data": "none", "cell_data": "none"}
 _ONE_TAG: dict[str, Any] = {"point_data": "none", "cell_data": "regions"}
 
 SURFACE_FORMATS = (
-    MeshioFormat("off", (".off",), **_TRIANGLES),
-    MeshioFormat("stl", (".stl",), **_TRIANGLES, inspect=_inspect_stl, binary_option=True),
+    MeshioFormat("off", (".off",), **_TRIANGLES, check=check_off, stream="text"),
+    MeshioFormat(
+        "stl", (".stl",), **_TRIANGLES, check=check_stl, is_binary=is_binary_stl, binary_option=True
+    ),
     MeshioFormat(
         "ply", (".ply",), FLAT, point_data="scalars", cell_data="none", index_type=np.int32,
-        inspect=_inspect_ply, cell_count=rb"\nelement face\s+(\d+)", binary_option=True,
+        check=check_ply, is_binary=_is_binary_ply, cell_count=rb"\nelement face\s+(\d+)", stream="bytes",
+        binary_option=True,
     ),
 )  # fmt: skip
 
 SOLVER_FORMATS = (
-    MeshioFormat("medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref"),
-    MeshioFormat("med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True),
-    MeshioFormat("permas", (".post", ".dato"), LINEAR, **_NO_DATA, inspect=_inspect_permas),
-    MeshioFormat("netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True),
-    MeshioFormat("avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material"),
+    MeshioFormat("medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", stream="text"),
     MeshioFormat(
-        "tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", guarded="text", inspect=_inspect_tecplot
+        "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5
     ),
-    MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True),
-    MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True),
-    MeshioFormat("dolfin-xml", (".xml",), **_TRIANGLES),
-)
+    MeshioFormat("permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, stream="text"),
+    MeshioFormat(
+        "netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True, stream="text"
+    ),
+    MeshioFormat(
+        "avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material", check=check_avs, stream="text"
+    ),
+    MeshioFormat(
+        "tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", check=_check_tecplot, stream="text"
+    ),
+    MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True, check_file=check_hdf5),
+    MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True, check_file=check_hdf5),
+    MeshioFormat("dolfin-xml", (".xml",), **_TRIANGLES, check=check_dolfin),
+)  # fmt: skip

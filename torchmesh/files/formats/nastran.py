@@ -5,6 +5,7 @@ Properties (PID) and pressures that several elements share bound regions.  Loads
 """
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -181,7 +182,8 @@ class _Reader:
             for entry in bulk:
                 if entry.name == name:
                     rest = [f.text for k, f in enumerate(entry.fields) if k not in places and f.text]
-                    groups.setdefault(" ".join([name, *rest]), []).extend(_numbers([entry.text(k) for k in places]))
+                    numbers = _numbers([entry.text(k) for k in places], self.where)
+                    groups.setdefault(" ".join([name, *rest]), []).extend(numbers)
             if groups and 2 * len(groups) > sum(map(len, groups.values())):
                 self.by_element.append(f"{name} by element")
                 continue
@@ -229,9 +231,10 @@ class _Reader:
         self.side_lines.append(SideLine(entry.name, line, np.array([where[1]]), np.array([side]), render))
 
 
-def _numbers(texts: list[str]) -> list[int]:
-    """Element numbers, with `a THRU b` written out."""
+def _numbers(texts: list[str], known: Collection[int]) -> list[int]:
+    """Element numbers, with `a THRU b` written out; of a run with more numbers than there are, those `known`."""
     words = [text.upper() for text in texts if text]
     if len(words) == 3 and words[1] == "THRU":
-        return list(range(int(words[0]), int(words[2]) + 1))
+        run = range(int(words[0]), int(words[2]) + 1)
+        return list(run) if len(run) <= len(known) else sorted(number for number in known if number in run)
     return [int(word) for word in words if re.fullmatch(r"\d+", word)]

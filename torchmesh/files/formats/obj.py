@@ -52,7 +52,9 @@ class ObjFormat(Format):
         return [text for word, text in _FOREIGN.items() if word in begins]
 
 
-OBJ = ObjFormat("obj", (".obj",), (*LINEAR, "polygon"), point_data="none", cell_data="regions", region_name=_GROUPS)
+OBJ = ObjFormat(
+    "obj", (".obj",), (*LINEAR, "polygon"), point_data="none", cell_data="regions", region_name=_GROUPS, counts=False
+)
 
 
 def _parse(lines: list[str]) -> tuple[meshio.Mesh, ObjFile]:

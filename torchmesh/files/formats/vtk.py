@@ -6,6 +6,7 @@ from pathlib import Path
 
 import meshio
 
+from .checks import check_vtk
 from .format import Document, Format
 from .meshio_formats import MeshioFormat
 
@@ -44,8 +45,9 @@ class VtkHead:
 @dataclass(frozen=True)
 class VtkFormat(MeshioFormat):
     def read(self, path: Path) -> Document:
+        document = super().read(path)
         head = VtkHead.of(path.read_bytes())
-        return replace(super().read(path), binary=head.binary, rest=head)
+        return replace(document, binary=head.binary, rest=head)
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         head = like.rest if like is not None else None
@@ -59,4 +61,7 @@ class VtkFormat(MeshioFormat):
         return ["the field data"] if target is not self and document.rest.has_fields else []
 
 
-VTK = VtkFormat("vtk", (".vtk",), cell_sets=True, point_sets=True, set_arrays=True, cell_count=rb"\nCELL_TYPES\s+(\d+)")
+VTK = VtkFormat(
+    "vtk", (".vtk",), cell_sets=True, point_sets=True, set_arrays=True, check=check_vtk,
+    cell_count=rb"\nCELL_TYPES\s+(\d+)",
+)  # fmt: skip
