@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "experiments"
 SCRIPTS = sorted(
-    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
     for path in FOLDER.rglob("*.py")
     if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
 )
@@ -29,6 +29,8 @@ def test_a_script_says_what_it_does(name, capsys):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     script = importlib.import_module(name)
+    if not hasattr(script, "main"):  # a package that is run as one script
+        script = importlib.import_module(f"{name}.__main__")
     with pytest.raises(SystemExit) as stopped:
         script.main(["--help"])
     assert stopped.value.code == 0

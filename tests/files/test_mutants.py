@@ -4,7 +4,8 @@ import collections
 
 import pytest
 
-from experiments.robustness.attack.files import KINDS, examine, faults, mutant, sample
+from experiments.robustness.attack.files import examine, faults
+from experiments.robustness.attack.mutants import KINDS, mutant, sample
 
 
 @pytest.mark.parametrize("kind", KINDS)

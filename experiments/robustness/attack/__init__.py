@@ -1,1 +1,1 @@
-"""Attacks on the entrance: broken files, and what else a program meets that does not wish it well."""
+"""Attacks on torchmesh, seeded and endless: `python -m experiments.robustness.attack`."""
