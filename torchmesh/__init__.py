@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from .files.pyvista import to_pyvista
     from .files.time_series import Series, read_series, write_series
     from .flipping.delaunay import FlipInfo, FlipOptions, flip_to_delaunay
-    from .improving.deformation import DeformOptions, DeformReport, deform
+    from .improving.deform_options import DeformOptions
+    from .improving.deformation import DeformReport, deform
     from .improving.options import ImproveOptions
     from .improving.pipeline import improve
     from .improving.report import Progress, Report, Step
@@ -73,7 +74,8 @@ _NAMES = {
     "files.pyvista": "to_pyvista",
     "files.time_series": "Series read_series write_series",
     "flipping.delaunay": "FlipInfo FlipOptions flip_to_delaunay",
-    "improving.deformation": "DeformOptions DeformReport deform",
+    "improving.deform_options": "DeformOptions",
+    "improving.deformation": "DeformReport deform",
     "improving.options": "ImproveOptions",
     "improving.pipeline": "improve",
     "improving.report": "Progress Report Step",

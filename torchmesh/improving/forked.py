@@ -1,8 +1,8 @@
-"""One batch over several processes: runs of meshes, each worked on in a forked copy of this process.
+"""One batch over several processes: runs of meshes, called shards, are each worked on in a fork of this process.
 
-Python's threads do not help: the work is many short tensor operations, between which threads wait
-for each other.  A fork shares the batch without a copy, starts in milliseconds, and sends back its
-results only.  Meshes do not touch each other, so the result is the same to the bit.
+Python's threads do not help: the work is many short tensor operations, between which threads wait for each other.  A
+fork shares the batch without a copy, starts in milliseconds, and sends back only its results.  Each mesh is worked on
+by itself, so the result is the same to the bit.
 """
 
 import contextlib
@@ -27,8 +27,8 @@ from .report import Progress, Step
 from .runner import Job, Log
 from .state import State
 
-# Triangles in a shard at least, below which a process costs more than it saves, and about, at most:
-# what a stage reads and writes of more does not stay in the cache.
+# Least and approximate greatest number of triangles in a shard: fewer do not repay a process, and more do not fit the
+# cache.
 _LEAST, _MOST = 20_000, 100_000
 
 
@@ -36,9 +36,9 @@ _R = TypeVar("_R")
 
 
 def can_fork(device: torch.device) -> bool:
-    """Is it safe here to fork a process that works on tensors of `device`?
+    """Whether it is safe here to fork a process that works on tensors of `device`.
 
-    On Linux, with one Python thread, outside a daemonic worker (whose children are not allowed).
+    It is safe on Linux, with one Python thread, outside a daemonic worker (which may not have children).
     """
     return (
         sys.platform == "linux"
@@ -49,9 +49,12 @@ def can_fork(device: torch.device) -> bool:
 
 
 def shard_borders(triangle_offsets: Tensor, workers: int) -> list[int]:
-    """Where to cut the meshes of a batch, (B+1,) offsets, into runs of like numbers of triangles.
+    """Where to cut the meshes of a batch into shards with similar numbers of triangles.
 
-    [0, ..., B]: as many runs for every worker, and one run if they would be too short to pay.
+    triangle_offsets  (B+1,)
+
+    Returns [0, ..., B], the first meshes of the shards and the end.  The number of shards is a multiple of that of the
+    workers; there is only one shard if several would be too short.
     """
     meshes, total = len(triangle_offsets) - 1, int(triangle_offsets[-1])
     workers = min(workers, meshes, total // _LEAST)
@@ -64,9 +67,9 @@ def shard_borders(triangle_offsets: Tensor, workers: int) -> list[int]:
 
 
 def in_processes(job: Job, workers: int) -> Job:
-    """`job` over forked processes, each with a run of the meshes; in this one where that would not pay.
+    """The job that does `job` in forked processes, each with a shard of the meshes, if the batch is large enough.
 
-    job  keeps the number and order of vertices and triangles
+    job  must keep the number and order of vertices and triangles
     """
 
     def shared(state: State, log: Log) -> State:
@@ -74,7 +77,7 @@ def in_processes(job: Job, workers: int) -> Job:
         shards = len(borders) - 1
         if shards < 2:
             return job(state, log)
-        # What one mesh of many needs is imported here once, and not by every process of every call.
+        # Modules that only few meshes need are imported once here, and not by every process of every call.
         import shapely  # noqa: F401
 
         from ..remeshing import relocation  # noqa: F401
@@ -100,7 +103,7 @@ def in_processes(job: Job, workers: int) -> Job:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """What a process sends back of its meshes: what may have changed, and their rows of the log."""
+    """What a process sends back: the columns of the state that may have changed, and the rows of the log."""
 
     points: Tensor
     triangles: Tensor
@@ -114,7 +117,7 @@ class Shard:
 
     @classmethod
     def of(cls, state: State, log: Log) -> "Shard":
-        """What is sent of a finished state."""
+        """The shard with a finished state and its log."""
         return cls(
             state.mesh.points, state.mesh.triangles, state.quality, state.status, state.reasons, state.notes,
             state.certified, state.conformity, log.steps,
@@ -122,7 +125,7 @@ class Shard:
 
     @staticmethod
     def joined(state: State, shards: "list[Shard]") -> State:
-        """`state`, of which the shards were taken in order, with what has become of them."""
+        """`state` with the results of its shards, which are given in order."""
         starts = itertools.accumulate((len(s.points) for s in shards), initial=0)
         triangles = torch.cat([s.triangles + start for s, start in zip(shards, starts, strict=False)])
         columns = [f.name for f in fields(Quality)]
@@ -139,6 +142,7 @@ class Shard:
 
 
 def _joined_conformity(shards: list[Shard]) -> SizeConformity | None:
+    """The conformities of all shards together, with NaN for shards that have none; None if no shard has one."""
     if all(s.conformity is None for s in shards):
         return None
     rows = [torch.full_like(s.quality.mean, torch.nan) for s in shards]
@@ -150,10 +154,10 @@ def _joined_conformity(shards: list[Shard]) -> SizeConformity | None:
 
 
 def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Iterator[_R]:
-    """task(0), ..., task(count - 1) in order, computed in `workers` forks of this process.
+    """The results of task(0), ..., task(count - 1), in this order, computed in `workers` forks of this process.
 
-    An exception of the task is raised here.  What a worker that dies has not finished is computed
-    in this process, with a MeshWarning.  An interrupt kills the workers.
+    An exception of the task is raised here.  If a worker dies, what it has not finished is computed in this process,
+    with a MeshWarning.  An interrupt kills the workers.
     """
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
@@ -164,7 +168,7 @@ def over_processes(task: Callable[[int], _R], count: int, workers: int) -> Itera
         context = multiprocessing.get_context("fork")
         with ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare) as pool:
             with warnings.catch_warnings():
-                # torch's idle threads are there at the fork; the workers use none.
+                # The fork also copies idle threads of torch, about which Python warns; the workers use none of them.
                 warnings.simplefilter("ignore", DeprecationWarning)
                 futures = [pool.submit(_pickled, i) for i in range(count)]
             try:
@@ -194,22 +198,22 @@ def _prepare() -> None:
     torch.set_num_threads(1)
 
 
-# What the forks find to do.
+# The task of `over_processes`, which forks find here.
 _task: Callable[[int], Any] | None = None
 
 
 def _pickled(i: int) -> bytes:
-    # As bytes: torch would hand every tensor over in a shared file of its own.
+    # The result is sent as bytes, since torch would hand over every tensor in a shared file of its own.
     assert _task is not None
     return pickle.dumps(_task(i), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Tensor operations on one thread while inside.
+    """A context in which tensor operations use one thread.
 
-    The operations are short; a second thread gains little, and where its core is busy with
-    something else every operation waits for it.
+    The operations are short, so a second thread gains little; and where its core is busy with something else, every
+    operation waits for it.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -1,14 +1,14 @@
-"""A small tangle in a large good mesh: work on the submesh round it alone, and put that back.
+"""A small tangle in a large good mesh: only the submesh round it is worked on, and put back afterwards.
 
     . . . . . . . . . . .     #  damage: inverted, or of poor shape
     . . b b b b b b . . .     +  rings round it, whose free vertices may move
     . . b + + + + b . . .     b  boundary of the submesh: fixed
-    . . b + # # + b . . .     .  never touched, nor looked at after the first look at its quality
+    . . b + # # + b . . .     .  never changed, and not read after its quality has been measured
     . . b + + + + b . . .
     . . b b b b b b . . .
 
-Beyond its own triangles, a submesh costs a few masks over the rows of the mesh.  Each mesh is judged by itself.  One
-whose submesh does not come out valid and of good shape is worked on as a whole.
+Besides the work on its own triangles, a submesh costs a few masks over the rows of the mesh.  Each mesh is judged by
+itself.  If its submesh does not become valid with good shapes, the mesh is worked on as a whole.
 """
 
 import time
@@ -33,9 +33,9 @@ from .state import State
 
 
 def on_submeshes(job: Job, options: ImproveOptions) -> Job:
-    """`job`, but on submeshes only where large good meshes have small tangles; otherwise `job` itself.
+    """The job that does `job` on submeshes of large good meshes with small tangles, and on all other meshes as a whole.
 
-    job  keeps the number and order of vertices and triangles
+    job  must keep the number and order of vertices and triangles
     """
 
     def on_parts(state: State, log: Log) -> State:
@@ -60,15 +60,15 @@ def on_submeshes(job: Job, options: ImproveOptions) -> Job:
 
 @dataclass(frozen=True, eq=False)
 class Submeshes:
-    """A batch of B meshes some of which are replaced by submeshes, V' vertices and T' triangles in all.
+    """A batch of B meshes, some of which are replaced by submeshes.
 
-    taken         the batch to be worked on: submeshes, and the other meshes as they are
-    cut           (B,) bool, the meshes replaced
-    across        (N,) int64 keys of the edges between vertices of a submesh that triangles outside have
-    whole         the whole batch
-    outside_sum   (B,) of the inverse mean ratio over the triangles outside; 0 for meshes not cut
-    outside_max   (B,) likewise the maximum; 1 for meshes not cut
-    seconds       what it took to find them
+    taken        the batch to be worked on: the submeshes, and the other meshes as they are
+    cut          (B,) bool, the meshes that are replaced
+    across       (N,) int64, the keys of edges of triangles outside whose ends are both vertices of a submesh
+    whole        the whole batch
+    outside_sum  (B,) the sum of the inverse mean ratios of the triangles outside; 0 for meshes that are not cut
+    outside_max  (B,) their maximum; 1 for meshes that are not cut
+    seconds      the time that finding them took
     """
 
     taken: Submesh
@@ -80,11 +80,11 @@ class Submeshes:
     seconds: float
 
     def paste(self, part: MeshBatch) -> MeshBatch:
-        """The whole batch with the rows of `part`, which the submeshes have become, in their places."""
+        """The whole batch with the rows of `part`, the result of the work on `taken`, put back."""
         return self.taken.put_back(self.whole, part)
 
     def paste_state(self, state: State, part: State) -> State:
-        """`state`, of which the submeshes were taken, with what `part` has become of them."""
+        """`state` with the result `part` of the work on the submeshes put back."""
         offsets = self.whole.triangle_offsets
         columns = ("area", "inverse_mean_ratio", "upright")
         area, ratio, upright = (
@@ -108,7 +108,7 @@ class Submeshes:
         ).noted(notes)
 
     def step_of_whole(self, b: int, step: Step) -> Step:
-        """A row about the submesh of mesh `b`, said about the whole mesh."""
+        """A row of the log about the submesh of mesh `b` as a row about the whole mesh."""
         if not bool(self.cut[b]):
             return step
         taken, count = (int(counts_from_offsets(m.triangle_offsets)[b]) for m in (self.taken.mesh, self.whole))
@@ -118,8 +118,8 @@ class Submeshes:
     def well_done(self, part: State) -> Tensor:
         """(B,) bool: the mesh was not cut, or its submesh is valid, certified, of good shape, and fits in.
 
-        An edge that a triangle outside has, too, cannot be one inside, or the whole would be no manifold.
-        Where boundaries are simple that is so by geometry; where a mesh lies over itself it need not be.
+        An inner edge of the submesh must not also be an edge of a triangle outside, or the whole would be no manifold.
+        Geometry rules that out where boundaries are simple, but not where a mesh lies over itself.
         """
         mine = part.mesh.triangles[spread(self.cut, part.mesh.triangle_offsets)]
         inner = self.taken.vertices[_inner_edges(mine)]
@@ -130,26 +130,26 @@ class Submeshes:
 
 
 def damaged_submeshes(batch: MeshBatch, q: Quality, options: LocalRepair) -> Submeshes | None:
-    """Submeshes of the large meshes that are tangled in a small part and excellent elsewhere; None: there are none.
+    """Submeshes of the large meshes that are tangled in a small part and excellent elsewhere; None if there are none.
 
     q  the quality of the batch
     """
     started = time.perf_counter()
     large = counts_from_offsets(batch.triangle_offsets) > options.large
-    places = {}
+    found = {}
     for b in (large & (q.inverted > 0)).nonzero().squeeze(1).tolist():
-        place = _round_damage(batch, q, b, options)
-        if place is not None:
-            places[b] = place
-    return _taken(batch, places, started) if places else None
+        near = _round_damage(batch, q, b, options)
+        if near is not None:
+            found[b] = near
+    return _taken(batch, found, started) if found else None
 
 
 def _round_damage(
     batch: MeshBatch, q: Quality, b: int, options: LocalRepair
 ) -> tuple[Neighbourhood, float, float] | None:
-    """The neighbourhood of the damage of mesh `b`, with the sum and the maximum of the ratios outside it.
+    """The neighbourhood of the damage of mesh `b`, and the sum and the maximum of the inverse mean ratios outside it.
 
-    None if it is too large a part of the mesh, or the rest is not excellent.
+    The result is None if the neighbourhood is too large a part of the mesh, or if the rest is not excellent.
     """
     v, t = (slice(*offsets[b : b + 2].tolist()) for offsets in (batch.point_offsets, batch.triangle_offsets))
     count = t.stop - t.start
@@ -158,17 +158,17 @@ def _round_damage(
         return None
     faces = batch.triangles[t] - v.start if v.start else batch.triangles[t]
     rings = options.rings + round(options.rings_by_width * len(bad) ** 0.5)
-    place = neighbourhood(batch.points[v], faces, bad, rings)
-    inside = len(place.triangles)
+    near = neighbourhood(batch.points[v], faces, bad, rings)
+    inside = len(near.triangles)
     if inside > options.share * count:
         return None
-    ratio = q.inverse_mean_ratio[t].index_fill(0, place.triangles, 0.0)
+    ratio = q.inverse_mean_ratio[t].index_fill(0, near.triangles, 0.0)
     total = float(segment_sum(ratio, torch.tensor([0, count], device=ratio.device)))
-    return (place, total, float(ratio.max())) if total <= options.excellent * (count - inside) else None
+    return (near, total, float(ratio.max())) if total <= options.excellent * (count - inside) else None
 
 
-def _taken(batch: MeshBatch, places: dict[int, tuple[Neighbourhood, float, float]], started: float) -> Submeshes:
-    """The batch with the meshes of `places` replaced by their neighbourhoods."""
+def _taken(batch: MeshBatch, found: dict[int, tuple[Neighbourhood, float, float]], started: float) -> Submeshes:
+    """The batch with some meshes replaced by the neighbourhoods that were `found` in them."""
     device, vertex, face = batch.points.device, batch.point_offsets.tolist(), batch.triangle_offsets.tolist()
     cut = torch.zeros(len(batch), dtype=torch.bool, device=device)
     outside_sum = torch.zeros(len(batch), dtype=torch.float64, device=device)
@@ -176,14 +176,14 @@ def _taken(batch: MeshBatch, places: dict[int, tuple[Neighbourhood, float, float
     vertices = torch.ones(len(batch.points), dtype=torch.bool, device=device)
     triangles = torch.ones(len(batch.triangles), dtype=torch.bool, device=device)
     held, across = torch.zeros_like(vertices), []
-    for b, (place, total, worst) in places.items():
+    for b, (near, total, worst) in found.items():
         cut[b], outside_sum[b], outside_max[b] = True, total, worst
         vertices[vertex[b] : vertex[b + 1]] = False
         triangles[face[b] : face[b + 1]] = False
-        vertices[place.vertices + vertex[b]] = True
-        triangles[place.triangles + face[b]] = True
-        held[place.vertices[place.shared] + vertex[b]] = True
-        across.append(place.across + vertex[b])
+        vertices[near.vertices + vertex[b]] = True
+        triangles[near.triangles + face[b]] = True
+        held[near.vertices[near.shared] + vertex[b]] = True
+        across.append(near.across + vertex[b])
     taken = submesh(replace(batch, fixed=batch.fixed | held), triangles, vertices)
     keys = keys_of(torch.cat(across), len(batch.points))
     seconds = time.perf_counter() - started
@@ -191,7 +191,7 @@ def _taken(batch: MeshBatch, places: dict[int, tuple[Neighbourhood, float, float
 
 
 def _without_outer_constraints(taken: Submesh, cut: Tensor) -> Submesh:
-    """The submeshes without the constrained edges that lie on their boundaries or beyond."""
+    """The submeshes without the constrained edges on their boundaries and outside them."""
     part = taken.mesh
     if not len(part.constrained_edges):
         return taken
@@ -202,7 +202,7 @@ def _without_outer_constraints(taken: Submesh, cut: Tensor) -> Submesh:
 
 
 def _inner_edges(triangles: Tensor) -> Tensor:
-    """(E, 2) the edges of two of the triangles."""
+    """(E, 2) the edges that belong to two of the triangles."""
     twin = connectivity.twins(triangles)
     h = torch.arange(len(twin), device=twin.device)
     return connectivity.edges(triangles, twin)[twin[(twin < 0) | (h < twin)] >= 0]

@@ -1,4 +1,4 @@
-"""The neighbourhood of some damage in one mesh: the rings of vertices round it, found without looking at the rest."""
+"""The neighbourhood of damage in one mesh: rings of vertices round it, found without a search of the whole mesh."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from torch import Tensor
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.triangle import corners, squared_edge_lengths
 
-# The search for what is near the damage divides a mesh into at most so many cells along each axis.
+# The search for vertices near the damage divides a mesh into at most so many cells along each axis.
 _CELLS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """A part of one mesh round its damage; rows are those of the mesh.
+    """A part of one mesh round its damage.  All rows are rows of the mesh.
 
     vertices   (v,) int64, ascending
-    shared     (v,) bool: those that triangles outside may have, too
-    triangles  (t,) int64, ascending: all the triangles at vertices that are not shared
-    across     (n, 2) int64: the edges between its vertices that other triangles have
+    shared     (v,) bool, the vertices that triangles outside may have, too
+    triangles  (t,) int64, ascending; all the triangles at vertices that are not shared
+    across     (n, 2) int64, the edges of other triangles whose ends are both among the vertices
     """
 
     vertices: Tensor
@@ -29,15 +29,18 @@ class Neighbourhood:
 
 
 def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor, rings: int) -> Neighbourhood:
-    """The `damage` (D,) int64, rows of `triangles` (T, 3), and so many rings of vertices round it.
+    """The neighbourhood that consists of damaged triangles and `rings` rings of vertices round them.
 
-    points  (V, 2), by which what cannot be near is left out of the search; the result does not depend on them
+    points     (V, 2), with which vertices that cannot be near are left out of the search; the result does not depend
+               on them
+    triangles  (T, 3) int64
+    damage     (D,) int64, rows of the damaged triangles
     """
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     low, high = zip(*([float(v) for v in c.aminmax()] for c in (x, y)), strict=True)
     extent = max(high[0] - low[0], high[1] - low[1])
     longest = torch.stack(squared_edge_lengths(corners(points, triangles[damage])), 1).amax(1).sqrt()
-    # All the damage may be in one point.
+    # The length is zero if all the damage is in one point.
     reach = max(rings * float(longest.median()), extent / _CELLS)
     while True:
         near = _nearby(x - low[0], y - low[1], extent, triangles[damage], reach)
@@ -47,8 +50,8 @@ def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor, rings: int)
 
 
 def _grown(triangles: Tensor, damage: Tensor, rings: int, near: Tensor) -> Neighbourhood | None:
-    """The neighbourhood, if all of its vertices are `near` (V,) bool, so that no triangle at them is missed."""
-    # Rows of the mesh become rows of the triangles and vertices looked at, and in the end are turned back.
+    """The neighbourhood if all its vertices are `near` (V,) bool, so that no triangle at them is missed; else None."""
+    # The work is done on the near triangles and vertices, with rows of their own; the result has rows of the mesh.
     faces = touching(triangles, near).nonzero().squeeze(1)
     here = triangles.index_select(0, faces)
     rows = torch.zeros_like(near).index_fill_(0, here.reshape(-1), True).nonzero().squeeze(1)
@@ -69,13 +72,14 @@ def _grown(triangles: Tensor, damage: Tensor, rings: int, near: Tensor) -> Neigh
 
 
 def _nearby(x: Tensor, y: Tensor, extent: float, damaged: Tensor, reach: float) -> Tensor:
-    """(V,) bool: at least the vertices within `reach` of a corner of the `damaged` (D, 3), and not many more.
+    """(V,) bool: all the vertices within `reach` of a corner of the `damaged` triangles (D, 3), and not many others.
 
-    Those in the same cell of a square grid, or in one of the eight round it; x and y (V,) from 0 to `extent`.
+    These are the vertices in the cell of such a corner in a square grid, or in one of the eight cells round it.
+    x and y (V,) are between 0 and `extent`.
     """
     if not reach < extent:
         return torch.ones_like(x, dtype=torch.bool)
-    # With one more cell on every side, so that each has eight round it.
+    # The grid has one more cell on every side, so that eight cells lie round each vertex.
     cells = int(extent / reach) + 4
     cell = (y / reach + 1).to(torch.int32) * cells + (x / reach + 1).to(torch.int32)
     marked = torch.zeros(cells * cells, dtype=torch.bool, device=x.device)

@@ -15,15 +15,15 @@ from ..untangling.options import UntangleOptions
 
 @dataclass(frozen=True)
 class Rounds:
-    """How steps 1 and 2 of Kim 2017 alternate, and when they have come to a standstill.
+    """How steps 1 and 2 of Kim 2017 alternate, and when they are stalled.
 
-    flip_rounds          rounds of flips between two goes of untangling: the first flips do most, and the later ones
-                         have only tangles to guide them
+    flip_rounds          the rounds of flips before each untangling: the first flips do most, and later ones are guided
+                         by tangled triangles only
     progress, patience   a mesh goes on while the number of its inverted triangles falls to this part at least once in
                          so many rounds
-    patience_with_flips  the paper's own loop goes on for so many rounds in which that number does not fall
-    quiet                the paper's own loop stops after so many rounds in a row without a flip in which L-BFGS stopped
-                         at its least number of steps
+    patience_with_flips  the loop of the paper goes on for so many rounds in which that number does not fall
+    quiet                the loop of the paper stops after so many rounds in a row without a flip in which L-BFGS
+                         stopped at its least number of steps
     """
 
     flip_rounds: int = 2
@@ -39,10 +39,11 @@ class Refining:
 
     first_flip_rounds      rounds of flips before the first smoothing
     rest                   a vertex that moves less than this part of its edges in a round rests in the next one
-    little_gain            a round that lowers the mean by less is the last of a mesh without poor triangles
-    least_gain             and of any mesh, if the maximum falls by less than `least_gain_of_maximum` of itself, too
-    sliver                 a triangle with a higher ratio is so flat that flips and q^2 would not see the others for it
-    coarse                 meshes with a higher maximum are smoothed in double precision, whatever was asked
+    little_gain            a round that lowers the mean by less than this is the last of a mesh without poor triangles
+    least_gain             a round that lowers the mean by less than this, and the maximum by less than
+                           `least_gain_of_maximum` times itself, is the last one of any mesh
+    sliver                 a triangle with a higher ratio is so flat that it alone would decide flips and smoothing
+    coarse                 meshes with a higher maximum are smoothed in double precision, whatever was asked for
     """
 
     first_flip_rounds: int = 4
@@ -56,16 +57,16 @@ class Refining:
 
 @dataclass(frozen=True)
 class LocalRepair:
-    """Which meshes are worked on round their damage only; ratios are inverse mean ratios.
+    """Which meshes are worked on only round their damage; ratios are inverse mean ratios.
 
-    large           meshes with no more triangles are worked on as a whole: a submesh would not save much
-    poor            triangles with a higher ratio are damage, as inverted ones are
-    excellent       the mean ratio outside the submesh is at most this: what flips and smoothing of the whole mesh could
-                    better is left to them
+    large           meshes with at most so many triangles are worked on as a whole, since a submesh would not save much
+    poor            triangles with a higher ratio are damaged, and so are inverted ones
+    excellent       the mean ratio outside the submesh is at most this, since a worse one could be improved by flips and
+                    smoothing of the whole mesh
     share           the submesh is at most this part of the mesh
-    rings           rings of vertices round the damage that are taken along
-    rings_by_width  and so many more times the root of the number of damaged triangles: a tangle of n triangles is about
-                    0.7 sqrt(n) edges across, and needs that room again to come to good shapes
+    rings           the submesh includes so many rings of vertices round the damage
+    rings_by_width  and further rings, so many times the square root of the number of damaged triangles: a tangle of n
+                    triangles is about 0.7 sqrt(n) edges wide, and needs as much room round it to get good shapes
     """
 
     large: int = 20_000
@@ -81,34 +82,33 @@ class ImproveOptions:
     """How `improve` works.
 
     method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
-    topology          "keep": the triangles stay; "flip": vertices keep number and order, edges may change;
-                      "full": vertices may be added and removed (`Report.vertex_map` tells which)
-    remesh            sizes and limits of "full"; under "flip", vertices travel from crowded to empty regions by
-                      them where shapes are poor or sizes other than "boundary" are asked for.  Sizes "keep"
-                      are those of the `reference`, if there is one
-    untangle          untangle-beta between the flips; "default" tries other ways where it fails
+    topology          "keep": the triangles stay; "flip": the number and order of vertices stay, and edges may change;
+                      "full": vertices may be added and removed (`Report.vertex_map` says which)
+    remesh            the sizes and limits of topology "full".  Under "flip", vertices travel from crowded to empty
+                      regions towards these sizes, if shapes are poor or if sizes other than "boundary" are asked for.
+                      The sizes "keep" are those of the `reference`, if there is one
+    untangle          untangle-beta between the flips; method "default" tries other ways where it fails
     smooth            the smoothing steps
-    polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None: none.
-                      Not with topology "keep", targets, or method "paper"
-    relocate          whether vertices travel far where shapes stay poor: "auto", in meshes that came tangled; True,
-                      also in valid ones; False, nowhere.  Sizes that were asked for, targets, a reference, sliding and
-                      topology "full" may take vertices far in any case.  Otherwise no vertex of a valid mesh goes
-                      further than the mesh is wide there: the mean length of its edges at the vertex as given
-    untangle_rounds   outer iterations of flipping and untangling at most
-    smooth_rounds     rounds of flipping and smoothing at most once the mesh is valid
+    polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None means none.
+                      Polishing is not done with topology "keep", targets, or method "paper"
+    relocate          whether vertices travel far where shapes stay poor: "auto" in meshes that came tangled, True
+                      also in valid ones, False nowhere.  If sizes, targets, a reference, sliding or topology "full"
+                      are asked for, vertices may travel far in any case.  Otherwise no vertex of a valid mesh goes
+                      further than the mesh is wide there: the mean length of the edges at the vertex as given
+    untangle_rounds   the greatest number of rounds of flipping and untangling
+    smooth_rounds     the greatest number of rounds of flipping and smoothing of a valid mesh
     rounds, refine    when these rounds end, and what they leave alone
-    reference         the same meshes undeformed, with the same triangles, if the caller has them: tangled
-                      interiors are first put where FEMWARP carries those of the reference, and the last
-                      untangling has each triangle's undeformed shape and size as its target.  It is of
-                      no use, and refused, once edges have flipped since
+    reference         the same meshes undeformed, with the same triangles, if the caller has them.  Tangled interiors
+                      are then first warped from those of the reference by FEMWARP, and the last untangling aims at each
+                      triangle's undeformed shape and size.  A reference is refused if edges have flipped since
     boundary          "fixed": boundary and constrained edges stay; "slide": once the mesh is valid, their
                       vertices move along the given curves, corners excepted (`SmoothOptions.boundary`)
-    excerpts          a mesh of more than 20,000 triangles that is tangled in a small part and excellent elsewhere is
-                      worked on round the tangle only, if that does; the rest keeps its bits.  Not with sizes,
-                      targets, reference, sliding or topology "full".  False: it is worked on as a whole
-    local_repair      what is small, large and excellent in that sense
-    workers           processes that share a large batch, on Linux, under topology "keep" or "flip"; None: as
-                      many as torch has threads (`torch.set_num_threads`, OMP_NUM_THREADS); 1: this one only
+    excerpts          whether a mesh of more than 20,000 triangles that is tangled in a small part and excellent
+                      elsewhere is worked on only round the tangle, if that is enough; the rest keeps its bits.  This is
+                      not done with sizes, targets, reference, sliding or topology "full"
+    local_repair      what small, large and excellent mean there
+    workers           how many processes share a large batch, on Linux, under topology "keep" or "flip"; None means as
+                      many as torch has threads (`torch.set_num_threads`, OMP_NUM_THREADS), and 1 means this one only
     """
 
     method: Literal["default", "paper"] = "default"
@@ -158,61 +158,62 @@ class ImproveOptions:
 
     @property
     def slides(self) -> bool:
-        """Do boundary and interface vertices slide along their curves?"""
+        """Whether boundary and interface vertices slide along their curves."""
         return "slide" in (self.boundary, self.smooth.boundary)
 
     @property
     def may_flip(self) -> bool:
-        """May edges change?"""
+        """Whether edges may change."""
         return self.topology != "keep"
 
     @property
     def stays_near(self) -> bool:
-        """Does a vertex of a valid mesh stay within the width of the mesh there?"""
+        """Whether a vertex of a valid mesh stays within the width of the mesh there."""
         asked = self.remesh.sizes_asked or self.smooth.targets is not None or self.reference is not None
         far = self.relocate is True or asked or self.slides or self.topology == "full"
         return not far and self.method == "default"
 
     @property
     def travels(self) -> bool:
-        """May vertices travel from crowded to empty regions, where shapes ask for it?"""
+        """Whether vertices may travel from crowded to empty regions where shapes are poor."""
         return self.may_flip and self.smooth.targets is None
 
     @property
     def polishes(self) -> bool:
-        """Are the worst triangles worked on one by one, before vertices come and go?"""
+        """Whether the worst triangles may be worked on one by one."""
         return self.travels and self.topology != "full"
 
     @property
     def separable(self) -> bool:
-        """Do these options mean the same for each mesh of a batch, with no tensor over its vertices in them?"""
+        """Whether the options are the same for each mesh of a batch, without tensors over its vertices."""
         shared = isinstance(self.remesh.sizes, Tensor) or self.smooth.targets is not None or self.reference is not None
         return self.topology != "full" and not shared
 
     @property
     def local(self) -> bool:
-        """May a large mesh that is good but for a small tangle be worked on round the tangle only?"""
+        """Whether a large mesh that is good but for a small tangle may be worked on only round the tangle."""
         usual = self.method == "default" and self.separable and not self.slides
         return self.excerpts and usual and self.remesh.sizes == "boundary"
 
     @classmethod
     def fast(cls, **changes: Any) -> "ImproveOptions":
-        """Valid always and good on the whole, in two thirds of the time: the few worst triangles stay as they come.
+        """Options with which meshes become valid as usual and good on the whole, in two thirds of the time.
 
-        No vertices travel and nothing is polished; half the rounds of flips and smoothing.
+        No vertices travel, nothing is polished, and there are fewer rounds of flips and smoothing, so the worst few
+        triangles are worse.
         """
         settings: dict[str, Any] = {"polish": None, "relocate": False, "smooth_rounds": 4}
         return cls(**(settings | changes))
 
     @classmethod
     def paper(cls, beta: float | None = None, **changes: Any) -> "ImproveOptions":
-        """Kim 2017 as printed: one flip pass, untangle-beta, repeat until valid, smooth once.
+        """Kim 2017 as printed: a pass of flips, untangle-beta, both again until the mesh is valid, then smoothing once.
 
-        The paper names no limit of its iterations: here step 2 takes 20 at most in the first round and
-        three times as many in each further one, so that edges flip early.
+        The paper gives no limit for the iterations of step 2.  Here it takes at most 20 in the first round and three
+        times as many in each further round, so that edges flip early.  With topology="keep" these are the steps 2 and 3
+        alone, an experiment of the paper.
 
-        beta  0.01 in the mesh's own unit of area in the paper; None: 0.03 of the mean absolute area
-        topology="keep" gives the paper's ablation, steps 2 and 3 only.
+        beta  in the mesh's own unit of area (0.01 in the paper); None means 0.03 times the mean absolute area
         """
         settings: dict[str, Any] = {
             "method": "paper",

@@ -1,4 +1,4 @@
-"""`improve`: the strategy on a batch, its large meshes in parts, its many meshes over processes, and the report."""
+"""`improve`: the strategy on a batch, on submeshes of large meshes, or in several processes, and the report."""
 
 from collections.abc import Callable
 from functools import partial
@@ -32,21 +32,21 @@ def improve(
     observe: Callable[[str, MeshBatch], None] | None = None,
     hold: Tensor | None = None,
 ) -> tuple[MeshBatch, Report]:
-    """Give every mesh of the batch upright triangles of good shape, as far as its boundary admits.
+    """Give every mesh of the batch upright triangles of good shape, as far as its boundary allows.
 
-    Vertices keep their number and order (but for topology "full"), fixed ones their positions; boundary and
-    constrained edges stay.  Each mesh's result is the same whatever else is in the batch.  The report says for
-    every mesh what was tried and how it ended; nothing is raised for a mesh that could not be
-    solved (`report.check()` does that).
+    The number and order of the vertices stay, except under topology "full"; so do the positions of fixed vertices, and
+    the boundary and constrained edges.  The result for a mesh does not depend on the other meshes of the batch.  The
+    report says for every mesh what was tried and how it ended.  Nothing is raised for a mesh that could not be solved;
+    `report.check()` does that.
 
     progress  called now and then with a `Progress`
-    observe   called after each stage with its name and the whole batch as it is then, as for `report_page` and
-              `animate`; first with "initial" and the batch as given.  With one mesh, the calls are the rows of
+    observe   called after each stage with its name and the whole batch at that time, for example by `report_page` and
+              `animate`; the first call has "initial" and the batch as given.  With one mesh, the calls are the rows of
               `report.steps[0]`
-    hold      (V,) bool, vertices that do not slide; needs boundary="slide", without which none does
+    hold      (V,) bool, vertices that do not slide; it is read with boundary="slide" only
 
-    A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress`
-    is then called once a shard.
+    A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress` is then
+    called once for each shard.
     Raises InvalidMeshError when `options.reference` is not a valid mesh of the same triangles.
     """
     options = options or ImproveOptions()
@@ -63,7 +63,7 @@ def improve(
 
 
 def whole_job(options: ImproveOptions, workers: int) -> Job:
-    """The strategy, in as many wrappers as the options call for; each steps aside where it is not needed."""
+    """The strategy in the wrappers that the options ask for; a wrapper has no effect where it is not needed."""
     job: Job = partial(improve_batch, options=options)
     if options.local:
         job = on_submeshes(job, options)
@@ -71,7 +71,7 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
 
 
 def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
-    """What is to be said of a finished state."""
+    """The report on a finished state."""
     return Report(
         status=state.status,
         valid=state.valid,
@@ -87,7 +87,7 @@ def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
 
 
 def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
-    """Why mesh `b` ended."""
+    """Why the work on mesh `b` ended."""
     status, reason = Status(int(state.status[b])), state.reasons[b]
     text = status.message
     if status == Status.INFEASIBLE:
@@ -98,7 +98,7 @@ def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
 
 
 def _moved(state: State) -> Tensor:
-    """(B,) int64 vertices that are not where they were given, of those that are still there."""
+    """(B,) int64, the number of given vertices that are still there but at another position."""
     given = state.given
     if state.names is None:
         return segment_count((state.mesh.points != given.points).any(1), given.point_offsets)
@@ -108,6 +108,7 @@ def _moved(state: State) -> Tensor:
 
 
 def _remeshed(state: State) -> "RemeshInfo":
+    """What splits and collapses did, under topology "full"."""
     from ..remeshing.remeshing import RemeshInfo
 
     assert state.sizes is not None

@@ -1,4 +1,4 @@
-"""What `improve` says about its work: a row a stage, a report a batch, progress on the way."""
+"""What `improve` says about its work: a row for each stage, a report on each batch, and progress on the way."""
 
 import math
 from dataclasses import dataclass, field, fields
@@ -19,11 +19,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Step:
-    """One row of the paper's tables for one mesh: its state after a stage, and what the stage took.
+    """One row of the paper's tables for one mesh: its state after a stage, and the work of the stage.
 
-    cavities are those re-triangulated; kept is false where the stage was a try that brought no fewer
-    inverted triangles, so that the mesh went back; seconds are wall time of the stage, shared by all
-    the meshes that were in it.
+    stage       the name of the stage
+    mean, max   of the inverse mean ratio over the triangles
+    inverted    the number of inverted triangles
+    flips       the edges flipped
+    iterations  the steps of the minimiser
+    seconds     the wall time of the stage, which all the meshes that took it share
+    cavities    the cavities that were re-triangulated
+    kept        false if the stage was an attempt that did not lower the number of inverted triangles, so that the mesh
+                was put back
     """
 
     stage: str
@@ -59,21 +65,21 @@ class Report:
     """What `improve` did, per mesh (B,).
 
     status     int64 `Status`
-    valid      bool, every triangle is upright by exact sign
-    certified  bool, valid, and the boundary edges, constrained edges and Euler number are those given; no
-               fixed vertex has moved but those that slide
-    quality    `Quality` at the end
-    steps      for every mesh its rows of the paper's tables, in order
-    messages   for every mesh, why it ended
-    moved      int64 vertices that are not where they were given, of those that are still there
+    valid      bool, every triangle is upright by its exact sign
+    certified  bool, the mesh is valid, its boundary edges, constrained edges and Euler number are those given, and no
+               fixed vertex has moved except those that slide
+    quality    the `Quality` at the end
+    steps      for each mesh its rows of the paper's tables, in order
+    messages   for each mesh, why it ended
+    moved      int64, the number of given vertices that are still there but at another position
     travel     `Travel`: how far vertices are from where they were given, in local widths
-    remeshed   topology "full": what splits and collapses did, with the `VertexMap` from given to returned
+    remeshed   under topology "full", what splits and collapses did, with the `VertexMap` from given to returned
                vertices; None under the other topologies
-    sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None where no sizes were
-               asked for and vertices keep their number.  Under "flip" sizes given by vertex are compared as they
-               have travelled, times what makes the number of vertices do
-    lost       for every mesh, names for what its file held and the written one does not; filled when a file is
-               written, empty for meshes that come from no file
+    sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None if no sizes were asked
+               for and the number of vertices stays.  Under "flip", sizes that were given by vertex have travelled with
+               the vertices, and are scaled so that they fit the number of vertices
+    lost       for each mesh, names for what its file held and the written one does not; it is filled when a file is
+               written, and empty for meshes that come from no file
     """
 
     status: Tensor
@@ -93,35 +99,37 @@ class Report:
 
     @property
     def vertex_map(self) -> "VertexMap | None":
-        """How the returned vertices answer to the given ones; None where they are the same."""
+        """Which returned vertices come from which given ones; None if they are the same."""
         return None if self.remeshed is None else self.remeshed.vertex_map
 
     @property
     def flipped(self) -> Tensor:
-        """(B,) int64 edges flipped in all stages together."""
+        """(B,) int64, the edges flipped in all stages together."""
         return self._total("flips")
 
     @property
     def cavities(self) -> Tensor:
-        """(B,) int64 cavities that were cut out and triangulated anew."""
+        """(B,) int64, the cavities that were re-triangulated in all stages together."""
         return self._total("cavities")
 
     @property
     def worked(self) -> list[str]:
-        """For every mesh the stage that left no inverted triangle: "initial" if it had none, "" if none did."""
+        """For each mesh, the first stage that left no inverted triangle: "initial" if none was, "" if no stage did."""
         return [next((step.stage for step in steps if step.inverted == 0), "") for steps in self.steps]
 
     def _size_record(self, b: int) -> dict[str, Any]:
+        """How well the edges of mesh `b` follow the sizes, for JSON."""
         assert self.sizes is not None
         rows = {"mean": self.sizes.mean, "p5": self.sizes.low, "p95": self.sizes.high}
         return {name: _plain(float(values[b])) for name, values in rows.items()}
 
     def _total(self, name: str) -> Tensor:
+        """(B,) int64, the sum of a column over the steps of each mesh."""
         sums = [sum(getattr(step, name) for step in steps) for steps in self.steps]
         return torch.tensor(sums, dtype=torch.int64, device=self.status.device)
 
     def check(self) -> "Report":
-        """Raise ConvergenceError, naming the meshes, unless every mesh is valid; else return the report."""
+        """Return the report if every mesh is valid; otherwise raise ConvergenceError, which names the meshes."""
         failed = (~self.valid).nonzero().squeeze(1).tolist()
         if failed:
             shown = "; ".join(
@@ -132,7 +140,7 @@ class Report:
         return self
 
     def to_dict(self) -> list[dict[str, Any]]:
-        """One plain record a mesh, for JSON: None stands for what is infinite."""
+        """One record for each mesh, for JSON; None stands for numbers that are not finite."""
         worked, flipped, cavities = self.worked, self.flipped.tolist(), self.cavities.tolist()
         return [
             {
@@ -157,8 +165,14 @@ class Report:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where `improve` is: the stage, meshes in it, their inverted triangles, and within a
-    minimisation its iteration and total energy."""
+    """How far `improve` has come.
+
+    stage      the name of the stage
+    meshes     the number of meshes that take it
+    inverted   the number of their inverted triangles
+    iteration  the iteration of the minimisation, within one
+    energy     its total energy
+    """
 
     stage: str
     meshes: int
@@ -168,7 +182,7 @@ class Progress:
 
 
 def left_over(why: str, steps: list[Step], keep: bool) -> str:
-    """`why` a mesh ended tangled, with what is left, what was tried and, if triangles were kept, what may help."""
+    """The message of a mesh that ended tangled: why, what is left, what was tried, and if triangles stay, a hint."""
     tried = dict.fromkeys(step.stage for step in steps[1:])
     text = f"{why}; {steps[-1].inverted} inverted triangles are left after {', '.join(tried)}"
     hint = ": these triangles may have no valid places; topology 'flip' may change their edges"
@@ -176,5 +190,5 @@ def left_over(why: str, steps: list[Step], keep: bool) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """`value`, or None for a number that JSON does not have."""
+    """`value`, or None for a number that is not finite, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,7 +1,7 @@
-"""Stages, what they did, and the log that a runner keeps of them.
+"""Stages, the work that they did, and the log that a runner keeps of them.
 
-A *stage* is a function from a state to another state: it works on every mesh that it is handed, and on nothing else.
-The *runner* hands it the meshes that are to take it, puts the result back, and writes the log.
+A *stage* is a function from a state to another state.  It works on every mesh that it is given, and on nothing else.
+The *runner* gives it the meshes that are to take it, puts the result back, and writes the log.
 """
 
 import time
@@ -16,7 +16,7 @@ from ..optimising.moves import Monitor
 from .report import Progress, Step
 from .state import State
 
-# A minimisation tells how far it is once in so many iterations.
+# A minimisation reports its progress once in so many iterations.
 _ITERATIONS_BETWEEN_REPORTS = 10
 
 
@@ -24,11 +24,11 @@ _ITERATIONS_BETWEEN_REPORTS = 10
 class Work:
     """What a stage did, per mesh (B,).
 
-    took        bool, the mesh took the stage at all
-    flips       int64 edges flipped
-    iterations  int64 steps of the minimiser
-    cavities    int64 cavities that were re-triangulated
-    kept        bool, false where the stage was an attempt that brought no fewer inverted triangles
+    took        bool, whether the mesh took the stage
+    flips       int64, the edges flipped
+    iterations  int64, the steps of the minimiser
+    cavities    int64, the cavities that were re-triangulated
+    kept        bool; false if the stage was an attempt that did not lower the number of inverted triangles
     """
 
     took: Tensor
@@ -39,7 +39,10 @@ class Work:
 
     @classmethod
     def done(cls, state: State, **columns: Tensor | None) -> "Work":
-        """What was done on all meshes of `state`; columns that are missing or None are zero, and everything is kept."""
+        """The work of a stage that all meshes of `state` took.
+
+        A column that is missing or None is zero; `kept` is true unless it is given.
+        """
         none = torch.zeros_like(state.status)
         every = torch.ones_like(none, dtype=torch.bool)
         known = {name: column for name, column in columns.items() if column is not None}
@@ -47,7 +50,7 @@ class Work:
 
     @classmethod
     def nothing(cls, state: State) -> "Work":
-        """No mesh of `state` took the stage."""
+        """The work of a stage that no mesh of `state` took."""
         work = cls.done(state)
         return replace(work, took=torch.zeros_like(work.took))
 
@@ -57,7 +60,7 @@ class Work:
         return replace(self, **sums)
 
     def over(self, at: Tensor) -> "Work":
-        """The same seen from the whole batch, of which the meshes `at` (B,) bool took the stage."""
+        """The same work as columns over the whole batch, of which the meshes `at` (B,) bool took the stage."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
         whole = {name: torch.zeros(len(at), dtype=c.dtype, device=at.device) for name, c in columns.items()}
         rows = at.nonzero().squeeze(1)
@@ -68,13 +71,13 @@ Stage = Callable[[State, Monitor | None], tuple[State, Work]]
 
 
 class Log:
-    """The steps of every mesh, and whoever watches.
+    """The steps of every mesh, and the functions of the caller that are called on the way.
 
     steps     for each mesh its rows, in order
-    progress  is told before each stage, and now and then within a minimisation
-    observe   is called after each stage with its name and the whole batch
+    progress  is called before each stage, and now and then within a minimisation
+    observe   is called after each stage, with its name and the whole batch
 
-    A log may be a view of another: some of its meshes, seen as they are within the whole batch.
+    A log may be a view of another log: it holds some of its meshes, and writes rows about the whole meshes.
     """
 
     def __init__(
@@ -94,11 +97,11 @@ class Log:
         whole: Callable[[MeshBatch], MeshBatch],
         step: Callable[[int, Step], Step] = lambda _, step: step,
     ) -> "Log":
-        """A log of some meshes that writes into this one.
+        """A log of some of the meshes, or of parts of them, that writes into this log.
 
-        meshes  (B',) int64, which meshes of this log they are
-        whole   makes the whole batch of theirs, for the observer
-        step    makes a row about the whole mesh of one about what is worked on, by its number in the view
+        meshes  (B',) int64, the numbers of the meshes in this log
+        whole   takes a batch of these meshes to the whole batch, for the observer
+        step    takes the number of a mesh in the view and a row about it to the row about the whole mesh
         """
         observe = self.observe
         view = Log(0, self.progress, None if observe is None else lambda stage, batch: observe(stage, whole(batch)))
@@ -108,7 +111,7 @@ class Log:
         return view
 
     def begin(self, stage: str, state: State, at: Tensor) -> Monitor | None:
-        """A stage begins on the meshes `at` (B,) bool; returns the monitor for its minimisations."""
+        """Note that a stage begins on the meshes `at` (B,) bool; returns the monitor for its minimisations."""
         self._started = time.perf_counter()
         if self.progress is None:
             return None
@@ -122,16 +125,17 @@ class Log:
         return monitor
 
     def end(self, stage: str, state: State, at: Tensor, work: Work) -> None:
-        """The stage has brought the batch to `state`; `work` is over the meshes `at`."""
+        """Note that the stage has ended with `state`; `work` has a row for each of the meshes `at`."""
         self._write(stage, state, at, time.perf_counter() - self._started, work)
 
     def mark(self, name: str, state: State, at: Tensor, *, seconds: float = 0.0, kept: bool = True) -> None:
-        """A row for the meshes `at` (B,) bool that is no stage: where they stand."""
+        """Write a row about the present state of the meshes `at` (B,) bool, which is not the end of a stage."""
         work = Work.done(state)
         work = replace(work, kept=torch.full_like(work.kept, kept))
         self._write(name, state, at, seconds, Work(*(getattr(work, f.name)[at] for f in fields(work))))
 
     def _write(self, name: str, state: State, at: Tensor, seconds: float, work: Work) -> None:
+        """Write a row for each of the meshes `at`, of which `work` has a row each, and call the observer."""
         q = state.quality
         columns = (q.mean[at], q.max[at], q.inverted[at], work.flips, work.iterations, work.cavities, work.kept)
         rows = zip(*(column.tolist() for column in columns), strict=True)
@@ -144,7 +148,7 @@ class Log:
             self.observe(name, state.mesh)
 
 
-# The whole job on a state, or a part of it, or over processes.
+# Takes a state through all stages, here or in other processes.
 Job = Callable[[State, Log], State]
 
 

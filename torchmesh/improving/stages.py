@@ -1,13 +1,13 @@
-"""The stages: each function here returns one, ready for the runner.
+"""The stages: each function here returns one that a runner can run.
 
     flip             step 1 of Kim 2017            smooth           step 3: shapes
-    untangle_beta    step 2                        relocate         vertices travel to where room is
+    untangle_beta    step 2                        relocate         vertices travel to empty regions
     regularised      step 2, other functional      polish           the worst triangles, patch by patch
     average          scrambled interiors           remove_vertices  topology "full", last resort
     warp             FEMWARP from the reference    remesh           topology "full": splits and collapses
     retriangulate    cavities, exactly             attempt          keeps a result only where it is better
 
-A stage works on all the meshes that it is handed.  Modules that only few meshes need are imported where they are first
+A stage works on all the meshes that it is given.  Modules that only few meshes need are imported where they are first
 used: averaging, re-triangulation, sliding, relocation, remeshing.
 """
 
@@ -35,7 +35,7 @@ from .state import Edits, State
 
 
 def flip(options: FlipOptions) -> Stage:
-    """Edges flip; under the rule "shape" towards the targets, if these are a metric field."""
+    """Flips edges; if the targets are a metric field, the rule "shape" flips towards them."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         around = None if state.lively is None else touching(state.mesh, state.lively)
@@ -48,7 +48,7 @@ def flip(options: FlipOptions) -> Stage:
 
 
 def untangle_beta(options: UntangleOptions) -> Stage:
-    """Vertices move until no triangle is inverted, or as few as that can bring about."""
+    """Moves vertices until no triangle is inverted, or until untangle-beta can do no more."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         mesh, info = untangling.untangle(state.mesh, options, monitor=monitor)
@@ -58,7 +58,7 @@ def untangle_beta(options: UntangleOptions) -> Stage:
 
 
 def regularised(options: UntangleOptions) -> Stage:
-    """As `untangle_beta`, by the regularised functional; towards the shapes of the reference, if there is one."""
+    """Moves vertices by the regularised functional, towards the shapes of the reference if there is one."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         mesh, info = untangling.untangle(state.mesh, options, reference=state.reference, monitor=monitor)
@@ -68,14 +68,14 @@ def regularised(options: UntangleOptions) -> Stage:
 
 
 def average() -> Stage:
-    """Interiors that are merely scrambled go back to the means of their neighbours."""
+    """Moves the vertices of scrambled interiors to the means of their neighbours."""
     from ..untangling import averaging
 
     return lambda state, monitor: (state.at(averaging.average(state.mesh)), Work.done(state))
 
 
 def warp() -> Stage:
-    """The interior of the reference is carried to the boundary as it is now, by FEMWARP."""
+    """Warps the interior of the reference to the present boundary, by FEMWARP."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         assert state.reference is not None
@@ -86,7 +86,7 @@ def warp() -> Stage:
 
 
 def retriangulate() -> Stage:
-    """Tangled cavities are cut out and triangulated anew, with exact signs."""
+    """Re-triangulates tangled cavities with exact signs."""
     from ..untangling.retriangulation import retriangulate_cavities
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
@@ -97,7 +97,7 @@ def retriangulate() -> Stage:
 
 
 def smooth(options: SmoothOptions) -> Stage:
-    """Vertices move until triangles have good shapes: those that are lively, or slide, or all."""
+    """Moves the lively vertices until triangles have good shapes; all vertices if none are named, or if some slide."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         free = state.lively if state.curves is None else None
@@ -112,9 +112,9 @@ def smooth(options: SmoothOptions) -> Stage:
 
 
 def relocate(options: RemeshOptions, keep_sizes: bool) -> Stage:
-    """Vertices travel from crowded to empty regions; every row stays.
+    """Lets vertices travel from crowded to empty regions; every row stays.
 
-    keep_sizes  whether the sizes, as they have travelled with the vertices, are kept for the report
+    keep_sizes  whether the sizes, which travel with the vertices, are kept for the report
     """
     from ..remeshing import relocation
 
@@ -126,7 +126,7 @@ def relocate(options: RemeshOptions, keep_sizes: bool) -> Stage:
 
 
 def polish(options: polishing.PolishOptions) -> Stage:
-    """The worst triangles are bettered, each with its neighbourhood."""
+    """Improves the worst triangles, each with its neighbourhood."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         mesh, info = polishing.polish(_holding(state), options)
@@ -136,7 +136,7 @@ def polish(options: polishing.PolishOptions) -> Stage:
 
 
 def remove_vertices(options: RemeshOptions) -> Stage:
-    """Vertices for which a domain has no room between floating-point numbers go."""
+    """Removes vertices for which a domain has no room between floating-point numbers."""
     from ..remeshing import vertex_removal
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
@@ -149,7 +149,7 @@ def remove_vertices(options: RemeshOptions) -> Stage:
 
 
 def remesh(options: RemeshOptions) -> Stage:
-    """Splits and collapses, where they better the mesh."""
+    """Splits and collapses edges where that improves the mesh."""
     from ..remeshing import remeshing
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
@@ -161,13 +161,13 @@ def remesh(options: RemeshOptions) -> Stage:
 
 
 def attempt(stage: Stage, origin: Callable[[State], MeshBatch] = lambda state: state.mesh) -> Stage:
-    """`stage` from wherever `origin` says, kept for the meshes in which it leaves fewer inverted triangles."""
+    """Runs `stage` from the mesh that `origin` gives, and keeps its result where it has fewer inverted triangles."""
 
     def attempted(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         found, work = stage(state.at(origin(state)), monitor)
         better = found.quality.inverted < state.quality.inverted
         kept = state.put(better, found.select(better)) if bool(better.any()) else state
-        # Why an attempt went no further is worth knowing where it failed, too.
+        # The reasons are kept where the attempt failed, too, since the report says why.
         return replace(kept, reasons=found.reasons), replace(work, kept=better)
 
     return attempted
@@ -179,7 +179,7 @@ def _holding(state: State) -> MeshBatch:
 
 
 def sized(options: RemeshOptions, state: State) -> RemeshOptions:
-    """What was asked of remeshing, for the meshes of `state`: targets, and sizes at their vertices."""
+    """The options of remeshing with the targets of `state`, and with the sizes at its vertices."""
     if state.targets is not None:
         options = replace(options, smooth=replace(options.smooth, targets=state.targets))
     if isinstance(options.sizes, torch.Tensor):
@@ -195,7 +195,7 @@ def sized(options: RemeshOptions, state: State) -> RemeshOptions:
 
 
 def _edited(state: State, mesh: MeshBatch, names: Names, sizes: Tensor, metric: Tensor | None, edits: Edits) -> State:
-    """The state with what remeshing has made of its meshes, and all that hangs on their vertices renumbered."""
+    """The state with the remeshed `mesh`, and with everything that has rows of vertices renumbered."""
     before, curves = state.vertex_names, state.curves
     if curves is not None:
         row = torch.full((names.fresh,), -1, device=mesh.points.device)

@@ -1,0 +1,187 @@
+"""A batch on its way along the path of its boundary, step by step.
+
+    Motion --- advance: try a step, take it where no triangle inverts, flip and smooth ---> Motion
+
+Nothing in a motion ever changes: a step gives back another one.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..flipping.delaunay import FlipOptions, flip_to_delaunay
+from ..mesh.batch import MeshBatch, put
+from ..mesh.measure import upright
+from ..mesh.ragged import segment_any, segment_min, spread
+from ..smoothing.smoothing import smooth
+from ..status import Status
+from ..warping.boundary_path import BoundaryPath, first_flat
+from ..warping.femwarp import femwarp
+from .deform_options import DeformOptions
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """B meshes on their way.
+
+    mesh     the batch as it is now
+    path     the path of its boundary
+    longest  the greatest length of a step, as a part of the motion
+    status   (B,) int64 `Status`: RUNNING while the mesh is under way
+    reached  (B,) float64, the part of the motion that is done
+    length   (B,) float64, the length of the next step to try.  It follows from the last step that was tried: a mesh in
+             a narrow passage stays in it for a while
+    steps    (B,) int64, the steps taken
+    refused  (B,) int64, the steps tried that would have inverted a triangle
+    flips    (B,) int64, the edges flipped
+    ends     for each round of steps, (B,) float64 the part of the motion at which a mesh ended its step; NaN if it took
+             none
+    blocked  (B, 2) float64, for a mesh that is about to be given up the centre of the triangle that bounds its step
+    """
+
+    mesh: MeshBatch
+    path: BoundaryPath
+    longest: float
+    status: Tensor
+    reached: Tensor
+    length: Tensor
+    steps: Tensor
+    refused: Tensor
+    flips: Tensor
+    ends: tuple[Tensor, ...]
+    blocked: Tensor
+
+    @classmethod
+    def begin(cls, batch: MeshBatch, path: BoundaryPath, longest: float) -> "Motion":
+        """The motion before the first step."""
+        device = batch.points.device
+        status = torch.full((len(batch),), Status.RUNNING, device=device)
+        reached = torch.zeros(len(batch), dtype=torch.float64, device=device)
+        none = torch.zeros_like(status)
+        blocked = torch.full((len(batch), 2), torch.nan, dtype=torch.float64, device=device)
+        length = torch.full_like(reached, longest)
+        return cls(batch, path, longest, status, reached, length, none, none, none, (), blocked)
+
+    @property
+    def going(self) -> Tensor:
+        """(B,) bool: the mesh is under way."""
+        return self.status == Status.RUNNING
+
+    @property
+    def trail(self) -> list[list[float]]:
+        """For each mesh, the parts of the motion at which its steps ended."""
+        if not self.ends:
+            return [[] for _ in self.status]
+        rows = torch.stack(self.ends, 1).tolist()
+        return [[end for end in row if not math.isnan(end)] for row in rows]
+
+
+def advance(motion: Motion, options: DeformOptions) -> Motion:
+    """Every mesh that is under way tries a step, and takes it if no triangle inverts."""
+    trial = _trial(motion, options)
+    after = replace(
+        motion,
+        length=_next_length(motion, trial, options),
+        refused=motion.refused + (trial.going & ~trial.taken),
+        blocked=_blocked(motion, trial, options),
+    )
+    if bool(trial.taken.any()):
+        after = _stepped(after, trial, options)
+    return replace(after, status=_next_status(after, trial, options))
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A step that the meshes `going` try.
+
+    going   (B,) bool, the meshes that try it
+    goal    (B,) float64, the part of the motion at which the step ends
+    before  these meshes before the step
+    moved   these meshes after the step
+    flat    (T,) the part of the way to `moved` at which each triangle is first flat
+    limit   (B',) the least of these in each mesh
+    taken   (B,) bool, the meshes that take the step
+    """
+
+    going: Tensor
+    goal: Tensor
+    before: MeshBatch
+    moved: MeshBatch
+    flat: Tensor
+    limit: Tensor
+    taken: Tensor
+
+
+def _trial(motion: Motion, options: DeformOptions) -> _Trial:
+    """What the next step of the meshes under way would bring."""
+    going = motion.going
+    goal = (motion.reached + motion.length).clamp_max(1.0)
+    goal = torch.where(1.0 - goal < options.control.negligible, 1.0, goal)
+    before = motion.mesh.select(going)
+    points = motion.path.at(torch.where(going, goal, motion.reached)).to(before.points)
+    moved = femwarp(before, points[spread(going, motion.mesh.point_offsets)])
+    flat = first_flat(before, moved.points)
+    limit = segment_min(flat, before.triangle_offsets)
+    # Rounding may invert a triangle where the quadratic does not.
+    sound = ~segment_any(~upright(moved), before.triangle_offsets)
+    taken = torch.zeros_like(going)
+    taken[going] = (options.part * limit >= 1) & sound
+    return _Trial(going, goal, before, moved, flat, limit, taken)
+
+
+def _next_length(motion: Motion, trial: _Trial, options: DeformOptions) -> Tensor:
+    """(B,) the length of the next step, by what the largest step without inversion was."""
+    control, going, refused = options.control, trial.going, trial.going & ~trial.taken
+    ratio = torch.ones_like(motion.length)
+    ratio[going] = (options.part * trial.limit).clamp(control.shrink, control.grow)
+    ratio[refused] = ratio[refused].clamp_max(control.after_refusal)
+    length = torch.where(going, ratio * (trial.goal - motion.reached), motion.length)
+    return length.clamp_max(motion.longest)
+
+
+def _blocked(motion: Motion, trial: _Trial, options: DeformOptions) -> Tensor:
+    """(B, 2) `Motion.blocked` after a trial: the centres of the triangles that bound steps near the smallest length."""
+    near = trial.going & ~trial.taken & (options.control.shrink * motion.length < options.smallest_step)
+    if not bool(near.any()):
+        return motion.blocked
+    blocked, part = motion.blocked.clone(), trial.before
+    offsets = part.triangle_offsets.tolist()
+    for i, b in enumerate(trial.going.nonzero().squeeze(1).tolist()):
+        if bool(near[b]):
+            row = offsets[i] + int(trial.flat[offsets[i] : offsets[i + 1]].argmin())
+            blocked[b] = part.points[part.triangles[row]].to(torch.float64).mean(0)
+    return blocked
+
+
+def _stepped(motion: Motion, trial: _Trial, options: DeformOptions) -> Motion:
+    """The motion after the step, with edges flipped and vertices smoothed in the meshes that go on."""
+    taken, part = trial.taken, trial.moved.select(trial.taken[trial.going])
+    reached, flips = torch.where(taken, trial.goal, motion.reached), motion.flips
+    # `improve` does the same on arrival, and better.
+    between = (reached < 1)[taken]
+    if bool(between.any()):
+        some = part.select(between)
+        if options.topology != "keep":
+            some, info = flip_to_delaunay(some, FlipOptions(rule="shape"))
+            flips = flips.index_add(0, taken.nonzero().squeeze(1)[between], info.flips)
+        part = put(part, between, smooth(some, options.smooth)[0])
+    return replace(
+        motion,
+        mesh=put(motion.mesh, taken, part),
+        reached=reached,
+        steps=motion.steps + taken,
+        flips=flips,
+        ends=(*motion.ends, torch.where(taken, trial.goal, torch.nan)),
+    )
+
+
+def _next_status(motion: Motion, trial: _Trial, options: DeformOptions) -> Tensor:
+    """(B,) the status of the meshes after a step."""
+    status = motion.status.clone()
+    status[trial.taken & (motion.reached >= 1)] = Status.VALID
+    going = status == Status.RUNNING
+    status[going & (motion.length < options.smallest_step)] = Status.STALLED
+    status[going & (motion.steps >= options.max_steps)] = Status.ITERATION_LIMIT
+    return status
