@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch
-from ..mesh.neighbourhoods import touching
+from ..mesh.connectivity import touching
 from ..mesh.vertex_map import Names
 from ..optimising.metric_field import MetricField
 from ..optimising.moves import Monitor
@@ -38,7 +38,7 @@ def flip(options: FlipOptions) -> Stage:
     """Flips edges; if the targets are a metric field, the rule "shape" flips towards them."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        around = None if state.lively is None else touching(state.mesh, state.lively)
+        around = None if state.lively is None else touching(state.mesh.triangles, state.lively)
         towards = state.targets if options.rule == "shape" else None
         metric = towards if isinstance(towards, MetricField) else None
         mesh, info = flip_to_delaunay(state.mesh, options, around=around, metric=metric)

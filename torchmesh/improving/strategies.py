@@ -21,8 +21,9 @@ from ..diagnosing.diagnosis import diagnose
 from ..flipping.delaunay import FlipOptions
 from ..mesh.batch import MeshBatch
 from ..mesh.certificate import same_frame
+from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
-from ..mesh.neighbourhoods import corners_of, rewired, touching
+from ..mesh.neighbourhoods import rewired
 from ..mesh.ragged import segment_any
 from ..optimising.lbfgs import LbfgsOptions
 from ..optimising.metric_field import MetricField
@@ -248,7 +249,7 @@ def _round_flips(before: State, after: State) -> Tensor:
     """(V,) bool: the lively vertices, those whose triangles flipped, and the neighbours of both."""
     assert after.lively is not None
     near = after.lively | rewired(before.mesh, after.mesh)
-    return corners_of(after.mesh, touching(after.mesh, near))
+    return corners_of(after.mesh.triangles, touching(after.mesh.triangles, near), len(near))
 
 
 def _settled(before: State, after: State, o: ImproveOptions) -> Tensor:
