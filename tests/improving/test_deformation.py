@@ -21,6 +21,7 @@ from torchmesh import (
     join,
     quality,
 )
+from torchmesh.improving.deform_options import StepControl
 
 
 def channel() -> MeshBatch:
@@ -324,3 +325,11 @@ def test_slivers_that_smoothing_alone_leaves_are_mended():
     assert quality(pressed).max.item() > 1e3
     after, _ = improve(pressed)
     assert quality(after).max.item() < 3
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("shrink", 0.0), ("grow", 0.5), ("after_refusal", 1.0), ("negligible", 1.0)]
+)
+def test_step_lengths_that_cannot_work_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"StepControl.{name} must be"):
+        StepControl(**{name: value})

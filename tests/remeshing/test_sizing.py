@@ -11,7 +11,14 @@ import torchmesh as tm
 from torchmesh import MeshBatch
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.ragged import spread
-from torchmesh.remeshing.sizing import carried, continue_inwards, edge_lengths, size_conformity, size_field
+from torchmesh.remeshing.sizing import (
+    InwardOptions,
+    carried,
+    continue_inwards,
+    edge_lengths,
+    size_conformity,
+    size_field,
+)
 
 
 @pytest.mark.parametrize("sizes", ["boundary", "keep", "uniform"])
@@ -168,3 +175,12 @@ def test_uniform_is_uniform_in_each_mesh():
     field = size_field(batch, "uniform")
     per_mesh = field[batch.point_offsets[:-1]]
     assert torch.equal(field, spread(per_mesh, batch.point_offsets))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("accuracy", 1.0), ("least_weight", 0.0), ("least_weight", 30.0), ("finer", -0.1), ("coarser", -1)],
+)
+def test_options_of_the_continuation_that_cannot_work_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"InwardOptions.{name} must"):
+        InwardOptions(**{name: value})

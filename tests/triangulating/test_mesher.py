@@ -6,7 +6,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh.triangulating import mesher as meshing
-from torchmesh.triangulating.mesher import MeshingError, Outline, mesh_outline
+from torchmesh.triangulating.mesher import MesherOptions, MeshingError, Outline, mesh_outline
 
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
@@ -96,3 +96,11 @@ def test_outline_edges_that_are_not_delaunay_are_recovered_exactly(monkeypatch):
 def test_loops_that_bound_no_domain_are_refused(loops):
     with pytest.raises(MeshingError, match="bounds no domain"):
         mesh_outline(Outline(loops, (1.0,) * len(loops)), 300, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("edges_per_loop", 2), ("scale_rounds", 0), ("corner", 0.0), ("detour", -1.0)]
+)
+def test_options_of_the_mesher_that_cannot_work_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"MesherOptions.{name} must be"):
+        MesherOptions(**{name: value})
