@@ -310,6 +310,8 @@ def test_the_monitor_sees_every_iteration_and_falling_energies():
         ("SmoothOptions.energy_tolerance must not be negative, but is -1e-06", {"energy_tolerance": -1e-6}),
         ("SmoothOptions.energy_tolerance must not be negative, but is nan", {"energy_tolerance": math.nan}),
         ("SmoothOptions.gradient_tolerance must not be negative", {"gradient_tolerance": -1.0}),
+        ("SmoothOptions.first_step must be positive, not 0", {"first_step": 0.0}),
+        ("SmoothOptions.largest_step must be positive, not -0.5", {"largest_step": -0.5}),
     ],
 )
 def test_bad_options_are_named(match, arguments):

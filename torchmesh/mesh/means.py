@@ -20,6 +20,15 @@ def sums_at_vertices(elements: Tensor, values: Tensor, vertices: int) -> Tensor:
     return total
 
 
+def means_at_vertices(elements: Tensor, values: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
+    """(V,) the mean of the `values` (N,) of the elements at each vertex, 0 without any; (V,) bool: there are any.
+
+    elements  (N, k) int64, as in `sums_at_vertices`
+    """
+    number = torch.bincount(elements.reshape(-1), minlength=vertices)
+    return sums_at_vertices(elements, values, vertices) / number.clamp_min(1), number > 0
+
+
 class Means:
     """Means from vertices to triangles and back, many times over the same triangles."""
 
@@ -55,5 +64,4 @@ def local_widths(batch: MeshBatch) -> Tensor:
     ends = edges(batch.triangles, batch.twin)
     a, b = batch.points.to(torch.float64)[ends].unbind(1)
     length = (b - a).norm(dim=1)
-    count = sums_at_vertices(ends, torch.ones_like(length), len(batch.points))
-    return sums_at_vertices(ends, length, len(batch.points)) / count.clamp_min(1)
+    return means_at_vertices(ends, length, len(batch.points))[0]

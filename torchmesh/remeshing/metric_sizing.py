@@ -13,13 +13,12 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
-from ..mesh.means import sums_at_vertices
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import counts_from_offsets, segment_max, segment_sum
 from ..optimising.laplacian import harmonic_extension
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import target_quality
-from .sizing import SizeConformity, Sizes, conformity, size_field
+from .sizing import SizeConformity, Sizes, conformity, mean_at_vertices, size_field
 
 
 def metric_lengths(batch: MeshBatch, edges: Tensor, metric: Tensor) -> Tensor:
@@ -42,9 +41,9 @@ def metric_size_field(batch: MeshBatch, sizes: Sizes, metric: Tensor, triangles:
     twin = batch.twin
     if sizes == "keep":
         edges = connectivity.edges(batch.triangles, twin)
-        return _mean_at_vertices(edges, metric_lengths(batch, edges, metric), batch)[0]
+        return mean_at_vertices(edges, metric_lengths(batch, edges, metric), batch)[0]
     held = torch.cat([connectivity.boundary_edges(batch.triangles, twin), batch.constrained_edges])
-    length, known = _mean_at_vertices(held, metric_lengths(batch, held, metric), batch)
+    length, known = mean_at_vertices(held, metric_lengths(batch, held, metric), batch)
     known = known | (connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0)
     # All weights are 1, whatever the shapes.  Positive weights keep all sizes within the range of the boundary's.
     even = (length.new_ones(len(batch.triangles)),) * 3
@@ -66,10 +65,3 @@ def metric_conformity(batch: MeshBatch, size: Tensor, metric: Tensor) -> SizeCon
 def unit_metric(metric: Tensor) -> Tensor:
     """(V, 3) the metric, scaled to determinant 1."""
     return metric / (metric[:, 0] * metric[:, 2] - metric[:, 1] * metric[:, 1]).sqrt()[:, None]
-
-
-def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
-    """(V,) the mean length of the edges at each vertex, or 1 if it has none; and (V,) bool whether it has any."""
-    number = torch.bincount(edges.reshape(-1), minlength=len(batch.points))
-    total = sums_at_vertices(edges, length, len(batch.points))
-    return torch.where(number > 0, total / number.clamp_min(1), 1.0), number > 0

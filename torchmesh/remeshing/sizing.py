@@ -14,7 +14,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, vertex_mesh
-from ..mesh.means import sums_at_vertices
+from ..mesh.means import means_at_vertices, sums_at_vertices
 from ..mesh.metrics import percentiles
 from ..mesh.ragged import (
     counts_from_offsets,
@@ -101,7 +101,7 @@ def size_field(
         if sizes == "uniform":
             return uniform_sizes(batch, wanted)
         edges = connectivity.edges(batch.triangles, batch.twin)
-        size = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)[0]
+        size = mean_at_vertices(edges, edge_lengths(batch, edges), batch)[0]
         # A vertex without edges, or at the position of all its neighbours, has no length to keep.
         return torch.where(size > 0, size, 1.0)
     values = sizes(batch.points) if callable(sizes) else sizes
@@ -179,7 +179,7 @@ def continue_inwards(batch: MeshBatch, options: InwardOptions | None = None) -> 
     """Read the sizes at the boundary and constrained edges, and continue them into the interior."""
     options = options or InwardOptions()
     edges = torch.cat([connectivity.boundary_edges(batch.triangles, batch.twin), batch.constrained_edges])
-    length, known = _mean_at_vertices(edges, edge_lengths(batch, edges), batch)
+    length, known = mean_at_vertices(edges, edge_lengths(batch, edges), batch)
     idle = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) == 0
     known = known | idle
     t = corners(batch.points.to(torch.float64), batch.triangles)
@@ -325,17 +325,16 @@ def edge_lengths(batch: MeshBatch, edges: Tensor) -> Tensor:
     return larger * (x * x + y * y).sqrt()
 
 
-def _mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
-    """(V,) the mean length of the edges at each vertex, and (V,) bool whether there are any.
+def mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[Tensor, Tensor]:
+    """(V,) the mean length (E,) of the edges (E, 2) at each vertex, and (V,) bool whether there are any.
 
     A vertex without edges has the mean over the vertices of its mesh.
     """
-    count = len(batch.points)
-    number = torch.bincount(edges.reshape(-1), minlength=count)
-    total = sums_at_vertices(edges, length, count)
-    mean = segment_sum(total, batch.point_offsets) / segment_sum(number.to(total), batch.point_offsets).clamp_min(1)
-    there = number > 0
-    return torch.where(there, total / number.clamp_min(1), spread(mean, batch.point_offsets)), there
+    mean, there = means_at_vertices(edges, length, len(batch.points))
+    offsets = batch.point_offsets
+    total = segment_sum(sums_at_vertices(edges, length, len(batch.points)), offsets)
+    number = segment_sum(torch.bincount(edges.reshape(-1), minlength=len(there)).to(total), offsets)
+    return torch.where(there, mean, spread(total / number.clamp_min(1), offsets)), there
 
 
 def log(values: Tensor) -> Tensor:

@@ -32,6 +32,9 @@ class SmoothOptions:
     max_iterations    number of L-BFGS steps after which smoothing stops
     energy_tolerance  a mesh is done when five steps together lower its energy by less than this part
     gradient_tolerance  or when the root mean square of its scaled gradient is below this
+    first_step        root mean square length of the first step, in mean edge lengths of each vertex
+    largest_step      no vertex moves further in one step, in mean edge lengths of each vertex; half an edge keeps most
+                      steps from inverting a triangle
     boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
                       curves they are on, which keep their shape and the areas on both sides
     targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
@@ -48,6 +51,8 @@ class SmoothOptions:
     max_iterations: int = 300
     energy_tolerance: float = 1e-5
     gradient_tolerance: float = 1e-6
+    first_step: float = 0.05
+    largest_step: float = 0.5
     boundary: Literal["fixed", "slide"] = "fixed"
     corner_angle: float = 40.0
     targets: Targets | TargetFunction | None = field(default=None, compare=False)
@@ -70,6 +75,9 @@ class SmoothOptions:
         for name in ("energy_tolerance", "gradient_tolerance"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"SmoothOptions.{name} must not be negative, but is {getattr(self, name)}")
+        for name in ("first_step", "largest_step"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"SmoothOptions.{name} must be positive, not {getattr(self, name)}")
 
 
 def smooth(
@@ -144,11 +152,11 @@ def _objective(batch: MeshBatch, packing: Packing, options: SmoothOptions) -> Me
 
 
 def _lbfgs(options: SmoothOptions) -> LbfgsOptions:
-    """Steps in parts of a vertex's mean edge length: the first is small, and none is above half an edge."""
+    """What L-BFGS takes of the options of smoothing."""
     return LbfgsOptions(
         max_iterations=options.max_iterations,
         gradient_tolerance=options.gradient_tolerance,
         energy_tolerance=options.energy_tolerance,
-        first_step=0.05,
-        largest_step=0.5,
+        first_step=options.first_step,
+        largest_step=options.largest_step,
     )

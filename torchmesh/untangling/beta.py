@@ -10,7 +10,7 @@ from ..mesh.ragged import counts_from_offsets, segment_sum, spread
 from ..mesh.triangle import SQRT3, corners, signed_area
 from ..optimising.energies import UntangleBeta
 from ..optimising.jacobian import Target
-from ..optimising.lbfgs import LbfgsOptions, minimise
+from ..optimising.lbfgs import minimise
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing, pack
 from .continuation import judged
@@ -31,10 +31,7 @@ def untangle_beta(
         area = signed_area(corners(batch.points.to(torch.float64), batch.triangles))
         may_move = may_move & surroundings(batch, area < beta * usual, options.reach)
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, options.single)
-    settings = LbfgsOptions(
-        max_iterations=options.max_iterations, gradient_tolerance=1e-12, energy_tolerance=1e-6, first_step=0.1
-    )
-    result = minimise(_objective(batch, packing, usual, beta), packing.unknowns, settings, monitor)
+    result = minimise(_objective(batch, packing, usual, beta), packing.unknowns, options.minimiser(), monitor)
     info = MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, result.status)
     return judged(batch, batch.with_points(packing.unpack(result.unknowns, batch.points)), info)
 

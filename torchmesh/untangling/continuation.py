@@ -11,7 +11,7 @@ from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segme
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import Regularised
 from ..optimising.jacobian import Target, select_rows
-from ..optimising.lbfgs import LbfgsOptions, LbfgsResult, minimise
+from ..optimising.lbfgs import LbfgsResult, minimise
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing
 from ..status import Status
@@ -60,12 +60,9 @@ def try_regularised(
     )
     unknowns = packing.unknowns.clone()
     info = _nothing_done(unknowns, len(batch))
-    settings = LbfgsOptions(
-        max_iterations=options.max_iterations, gradient_tolerance=1e-6, energy_tolerance=1e-3, first_step=0.1
-    )
-    _lower_epsilon(objective, unknowns, info, settings, options, monitor)
+    _lower_epsilon(objective, unknowns, info, options, monitor)
     if settle:
-        _settle(objective, unknowns, info, settings, monitor)
+        _settle(objective, unknowns, info, options, monitor)
     return judged(batch, batch.with_points(packing.unpack(unknowns, batch.points)), info)
 
 
@@ -78,7 +75,6 @@ def _lower_epsilon(
     objective: MeshObjective,
     unknowns: Tensor,
     info: MoveInfo,
-    settings: LbfgsOptions,
     options: UntangleOptions,
     monitor: Monitor | None,
 ) -> None:
@@ -102,7 +98,7 @@ def _lower_epsilon(
         here = eps[rows]
         objective = replace(objective, energy=Regularised(spread(here, objective.triangle_offsets)))
         before = objective(unknowns[slots])[0]
-        result = minimise(objective, unknowns[slots], settings, monitor)
+        result = minimise(objective, unknowns[slots], options.minimiser(), monitor)
         unknowns[slots] = result.unknowns
         det = objective.det(result.unknowns)
         lowest = segment_min(det, objective.triangle_offsets)
@@ -117,7 +113,7 @@ def _lower_epsilon(
 
 
 def _settle(
-    objective: MeshObjective, unknowns: Tensor, info: MoveInfo, settings: LbfgsOptions, monitor: Monitor | None
+    objective: MeshObjective, unknowns: Tensor, info: MoveInfo, options: UntangleOptions, monitor: Monitor | None
 ) -> None:
     """Minimise the valid meshes at the least epsilon until their energy settles; in place as above."""
     valid = info.status == Status.VALID
@@ -125,7 +121,8 @@ def _settle(
         return
     slots = _in_slots(objective, valid)
     objective = replace(objective.select(valid), energy=Regularised(_LEAST_EPS))
-    result = minimise(objective, unknowns[slots], replace(settings, energy_tolerance=1e-5), monitor)
+    settings = replace(options.minimiser(), energy_tolerance=options.settled_tolerance)
+    result = minimise(objective, unknowns[slots], settings, monitor)
     unknowns[slots] = result.unknowns
     _record(info, valid, result)
 

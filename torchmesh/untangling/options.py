@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from ..optimising.lbfgs import LbfgsOptions
+
 
 @dataclass(frozen=True)
 class UntangleOptions:
@@ -19,6 +21,12 @@ class UntangleOptions:
     size_sweeps        how often the target sizes of "regularised" are averaged over neighbours.  Each number is
                        tried in turn, from the given positions, until the mesh is valid
     max_iterations     number of L-BFGS steps after which the method stops; for "regularised" per value of epsilon
+    gradient_tolerance  stop when the root mean square of the scaled gradient is below this; None: 1e-6 for
+                       "regularised", 1e-12 for "beta", whose gradient is nought once every area is beta
+    energy_tolerance   stop when five steps together lower the energy by less than this part; None: 1e-3 for
+                       "regularised", whose epsilon then changes the energy, 1e-6 for "beta"
+    settled_tolerance  the same for the last minimisation of "regularised", at the least epsilon, of valid meshes
+    first_step         root mean square length of the first step, in local sizes
     max_continuations  number of values of epsilon after which "regularised" stops
     stall_patience     values of epsilon over which "regularised" judges whether a mesh still gains.  A mesh stalls when
                        all three hold: its lowest determinant is not up and its inverted triangles are not down to
@@ -38,6 +46,10 @@ class UntangleOptions:
     single: bool = False
     size_sweeps: tuple[int, ...] = (100, 20, 1000)
     max_iterations: int = 500
+    gradient_tolerance: float | None = None
+    energy_tolerance: float | None = None
+    settled_tolerance: float = 1e-5
+    first_step: float = 0.1
     max_continuations: int = 200
     stall_patience: int = 10
     stall_ratio: float = 0.9
@@ -57,10 +69,29 @@ class UntangleOptions:
             raise ValueError("UntangleOptions.local and absolute_beta exclude each other")
         if not 0 < self.stall_ratio <= 1:
             raise ValueError(f"UntangleOptions.stall_ratio must be above 0 and at most 1, not {self.stall_ratio}")
-        for name in ("beta", "absolute_beta", "stall_depth"):
+        if not self.first_step > 0:
+            raise ValueError(f"UntangleOptions.first_step must be positive, not {self.first_step}")
+        for name in (
+            "beta",
+            "absolute_beta",
+            "stall_depth",
+            "gradient_tolerance",
+            "energy_tolerance",
+            "settled_tolerance",
+        ):
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise ValueError(f"UntangleOptions.{name} must not be negative, but is {value}")
+
+    def minimiser(self) -> LbfgsOptions:
+        """How L-BFGS minimises one energy of the method."""
+        gradient, energy = (1e-6, 1e-3) if self.method == "regularised" else (1e-12, 1e-6)
+        return LbfgsOptions(
+            max_iterations=self.max_iterations,
+            gradient_tolerance=gradient if self.gradient_tolerance is None else self.gradient_tolerance,
+            energy_tolerance=energy if self.energy_tolerance is None else self.energy_tolerance,
+            first_step=self.first_step,
+        )
 
     def up_to(self, iterations: int) -> "UntangleOptions":
         """These options with at most so many iterations."""
