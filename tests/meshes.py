@@ -15,6 +15,7 @@ from scipy.spatial import Delaunay
 
 import torchmesh as tm
 from torchmesh import MeshBatch
+from torchmesh.mesh.interfaces import holding
 
 
 def grid_arrays(columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +34,7 @@ def grid(columns: int = 6, rows: int = 5) -> MeshBatch:
 def disturbed(mesh: MeshBatch, size: float, seed: int) -> MeshBatch:
     """`mesh` with every free vertex thrown off by a normal deviate of `size`."""
     throw = size * torch.randn(mesh.points.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    return mesh.with_points(torch.where(mesh.fixed[:, None], mesh.points, mesh.points + throw.to(mesh.points)))
+    return mesh.with_points(torch.where(holding(mesh).fixed[:, None], mesh.points, mesh.points + throw.to(mesh.points)))
 
 
 def jittered(columns: int = 8, rows: int = 7, cells: float = 0.5, seed: int = 0) -> MeshBatch:
@@ -187,4 +188,4 @@ def crowded_square(cells: int = 14) -> MeshBatch:
     """A square whose inner columns are pressed to the left: crowded there, empty on the right."""
     mesh = grid(cells, cells)
     pressed = torch.stack([mesh.points[:, 0] ** 2.5, mesh.points[:, 1]], 1)
-    return mesh.with_points(torch.where(mesh.fixed[:, None], mesh.points, pressed))
+    return mesh.with_points(torch.where(holding(mesh).fixed[:, None], mesh.points, pressed))

@@ -122,11 +122,11 @@ def test_fixed_adds_to_the_boundary():
     assert (mesh.fixed ^ plain.fixed).nonzero().squeeze(1).tolist() == [12]
 
 
-def test_ends_of_constrained_edges_are_fixed_and_boundary_edges_need_no_constraint():
+def test_ends_of_constrained_edges_are_not_fixed_and_boundary_edges_need_no_constraint():
     points, triangles = meshes.grid_arrays(4, 4)
     mesh = MeshBatch.from_arrays(points, triangles, constrained_edges=[[12, 7], [0, 1], [1, 0]])
     assert mesh.constrained_edges.tolist() == [[12, 7]]
-    assert mesh.fixed[[12, 7]].tolist() == [True, True]
+    assert mesh.fixed[[12, 7]].tolist() == [False, False]
 
 
 def test_unused_vertices_are_kept_fixed_and_counted():

@@ -10,6 +10,7 @@ from exact import inverted, total_area
 import torchmesh as tm
 from torchmesh import ImproveOptions, MeshBatch, SmoothOptions, Status, diagnose, improve, join, quality, smooth
 from torchmesh.mesh import connectivity
+from torchmesh.mesh.interfaces import holding
 from torchmesh.mesh.triangle import corners, signed_area
 from torchmesh.optimising.energies import InverseMeanRatio
 from torchmesh.optimising.jacobian import equilateral
@@ -148,7 +149,7 @@ def test_order_along_the_curves_is_kept_and_corners_are_where_they_were(name):
     step = info.curves.parameter[curves.after] - info.curves.parameter
     assert bool((step > 0)[torch.arange(len(step)) != curves.last].all())
     may = curves.may_slide(mesh.point_offsets)
-    stays = mesh.fixed & ~may
+    stays = holding(mesh).fixed & ~may
     assert torch.equal(slid.points[stays], mesh.points[stays])
     assert bool((slid.points != mesh.points).any(1)[may].any())
 
@@ -157,7 +158,7 @@ def test_order_along_the_curves_is_kept_and_corners_are_where_they_were(name):
 def test_gradients_are_those_of_finite_differences(name):
     mesh = UNEVEN[name]()
     curves = curves_of(mesh)
-    free = ~mesh.fixed | curves.may_slide(mesh.point_offsets)
+    free = ~holding(mesh).fixed | curves.may_slide(mesh.point_offsets)
     packing = pack(mesh.points, mesh.triangles, free, mesh.point_offsets, mesh.triangle_offsets)
     inner = MeshObjective(
         InverseMeanRatio(), equilateral(), packing.rows, packing.anchored, packing.block_offsets,
@@ -319,7 +320,7 @@ def test_improve_slides_flips_and_certifies(name, topology):
     if topology == "flip":
         assert (sum(step.flips for step in report.steps[0]) > 0) or name == "interface"
         assert region_areas(better) == pytest.approx([abs(a) for a in region_areas(held)], rel=1e-13)
-    stays = mesh.fixed & ~curves_of(mesh).may_slide(mesh.point_offsets)
+    stays = holding(mesh).fixed & ~curves_of(mesh).may_slide(mesh.point_offsets)
     assert torch.equal(better.points[stays], mesh.points[stays])
 
 
@@ -338,9 +339,9 @@ def test_vertices_slide_on_after_remeshing(name):
     moved = {frozenset(new_row[torch.tensor(e)].tolist()) for e in network(mesh).tolist()}
     assert {frozenset(e) for e in network(better).tolist()} == moved
     # Corners stay; sliding vertices are where the same curve has them, or as near as its area allows.
-    stays = mesh.fixed & ~curves_of(mesh).may_slide(mesh.point_offsets)
+    stays = holding(mesh).fixed & ~curves_of(mesh).may_slide(mesh.point_offsets)
     assert torch.equal(better.points[new_row[stays]], mesh.points[stays])
-    slid = (better.points[new_row[mesh.fixed]] != mesh.points[mesh.fixed]).any()
+    slid = (better.points[new_row[holding(mesh).fixed]] != mesh.points[holding(mesh).fixed]).any()
     assert bool(slid) == bool(curves_of(mesh).slides.any())
 
 

@@ -13,6 +13,7 @@ from scipy.spatial import Delaunay
 
 from torchmesh.errors import InvalidMeshError
 from torchmesh.mesh.batch import MeshBatch, join
+from torchmesh.mesh.interfaces import holding
 from torchmesh.untangling import cavity as cavity_module
 from torchmesh.untangling.retriangulation import retriangulate, untangle_by_retriangulation
 
@@ -46,7 +47,7 @@ def perforated(rng, count=300):
 
 def tangled(mesh, how, rng):
     """`mesh` with its free vertices put elsewhere."""
-    points, free = mesh.points.numpy().copy(), ~mesh.fixed.numpy()
+    points, free = mesh.points.numpy().copy(), ~holding(mesh).fixed.numpy()
     low, high = points.min(0), points.max(0)
     if how == "shuffled":
         points[free] = rng.permutation(points[free])
@@ -55,7 +56,7 @@ def tangled(mesh, how, rng):
     elif how == "one point":
         points[free] = low + (high - low) * rng.uniform(0.2, 0.8, 2)
     elif how == "on one boundary vertex":
-        points[free] = points[mesh.fixed.numpy()][0]
+        points[free] = points[holding(mesh).fixed.numpy()][0]
     elif how == "on a line":
         points[free] = low + (high - low) * np.stack([rng.uniform(size=free.sum()), np.full(free.sum(), 0.5)], 1)
     return mesh.with_points(torch.from_numpy(points))
@@ -92,7 +93,7 @@ def assert_repaired(before, result):
     assert len(edges) == len(edge_set(before.triangles))
     assert torch.equal(after.triangles.unique(), before.triangles.unique())
     assert torch.equal((after.points != before.points).any(1) & ~result.moved, torch.zeros_like(result.moved))
-    assert not bool((result.moved & before.fixed).any())
+    assert not bool((result.moved & holding(before).fixed).any())
     assert torch.equal(after.triangles[~result.rewritten], before.triangles[~result.rewritten])
 
 
@@ -299,7 +300,9 @@ def test_a_fold_of_a_whole_strip_is_repaired():
     moved = points + np.stack(
         [0.4 * np.sin(np.pi * points[:, 0]) * np.sin(3 * np.pi * points[:, 1]), points[:, 1] * 0], 1
     )
-    mesh = mesh.with_points(torch.where(mesh.fixed[:, None], mesh.points, torch.from_numpy(2 * moved - points)))
+    mesh = mesh.with_points(
+        torch.where(holding(mesh).fixed[:, None], mesh.points, torch.from_numpy(2 * moved - points))
+    )
     assert_repaired(mesh, untangle_by_retriangulation(mesh))
 
 
@@ -328,7 +331,7 @@ def test_positions_are_kept_where_they_can_be():
     assert not bool(retriangulate(shuffled, whole(mesh)).moved.any())
     spread = retriangulate(mesh, whole(mesh), keep=torch.zeros(len(mesh.points), dtype=torch.bool))
     assert_repaired(mesh, spread)
-    assert torch.equal(spread.moved, ~mesh.fixed)
+    assert torch.equal(spread.moved, ~holding(mesh).fixed)
 
 
 def test_spread_vertices_make_good_triangles():

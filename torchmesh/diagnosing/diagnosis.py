@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import Interfaces, holding
 from .meetings import crossings, duplicates, overlaps, wrong_touchings
 from .nesting import nestings
 from .polygon_kernel import inverted_fixed_triangles, vertices_without_kernel
@@ -21,7 +22,13 @@ from .walls import HELD, Walls
 _MANY = 50_000
 
 
-def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most: int = 20) -> list[Problem]:
+def diagnose(
+    batch: MeshBatch,
+    topology: Literal["keep", "flip"] = "flip",
+    most: int = 20,
+    *,
+    interfaces: Interfaces | None = None,
+) -> list[Problem]:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
     topology  "flip": triangles may change.  If no problem is found, `untangle_by_retriangulation` can repair
@@ -29,6 +36,7 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
               the obstructions that moving free vertices cannot mend are told, too.  These are not all
               obstructions there are: a mesh without a problem may still have no valid positions
     most      how many problems of one kind are told of one mesh
+    interfaces  "free": the ends of constrained edges may move; otherwise they are fixed, too
 
     A mesh, or a piece of it, that has no inverted triangle is valid, and nothing is said of it.
     A boundary may touch itself, in vertices or along edges, with vertices of its own on each side, as
@@ -41,6 +49,7 @@ def diagnose(batch: MeshBatch, topology: Literal["keep", "flip"] = "flip", most:
     """
     if topology not in ("keep", "flip"):
         raise ValueError(f"topology must be 'keep' or 'flip', not {topology!r}")
+    batch = holding(batch, interfaces)
     # First all meshes at once, as pieces of one; each is looked at alone only if something was found.
     if len(batch) > 1 and not _of_one(batch, topology == "keep", most):
         return []

@@ -1,7 +1,7 @@
 """The pieces of a mesh that are not valid, and the edges that triangles cannot lie across.
 
 o-----------o     boundary    an edge with a triangle on one side only
-| \\  A  /   |     constraint  a constrained edge inside
+| \\  A  /   |     constraint  a constrained edge inside, with both ends fixed
 |   o   B   |     held        an edge between two fixed vertices, when the triangles are to stay
 | /         |     A, B        regions, closed off by such edges
 o-----------o
@@ -68,7 +68,9 @@ class Walls:
             return None
         piece = np.zeros(count, np.int64)
         piece[triangles.numpy()] = label.numpy()[:, None]
-        constraints, held = mesh.constrained_edges.cpu(), mesh.fixed.cpu()
+        held = mesh.fixed.cpu()
+        constraints = mesh.constrained_edges.cpu()
+        constraints = constraints[held[constraints].all(1)]
         tails, heads = connectivity.tails(triangles), connectivity.heads(triangles)
         inner = twin >= 0
         wall = connectivity.half_edges_on(triangles, constraints, count) & inner

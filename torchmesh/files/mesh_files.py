@@ -36,7 +36,8 @@ def read(path: str | os.PathLike[str]) -> MeshBatch:
 
     fixed              point data `fixed` where it is not zero; always the boundary, and the vertices of cells that
                        are neither triangles nor edges of them (quads, bars; vertex cells unless every vertex has one)
-    constrained_edges  edges between triangles of different regions, and line cells inside the mesh
+    constrained_edges  edges between triangles of different regions, and line cells inside the mesh; their ends are
+                       not `fixed`, but what moves vertices holds them unless it is told otherwise
 
     Regions are told by cell sets, and by cell data of integers with one component.  Under a name that means regions
     (`fields.REGION_TAGS`) such data always tells regions; under another name it does when it has at most half as many

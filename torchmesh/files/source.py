@@ -61,7 +61,6 @@ def default_fixed(mesh: MeshBatch, pinned: np.ndarray | None = None) -> torch.Te
     """
     count = len(mesh.points)
     fixed = connectivity.boundary_vertices(mesh.triangles, mesh.twin, count)
-    fixed[mesh.constrained_edges.reshape(-1)] = True
     fixed |= connectivity.vertex_triangle_counts(mesh.triangles, count) == 0
     return fixed if pinned is None else fixed | torch.from_numpy(pinned)
 

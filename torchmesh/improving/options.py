@@ -6,6 +6,7 @@ from typing import Any, Literal
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import Interfaces, check_interfaces
 from ..optimising.targets import check_topology
 from ..remeshing.options import RemeshOptions
 from ..smoothing.polishing import PolishOptions
@@ -101,8 +102,12 @@ class ImproveOptions:
     reference         the same meshes undeformed, with the same triangles, if the caller has them.  Tangled interiors
                       are then first warped from those of the reference by FEMWARP, and the last untangling aims at each
                       triangle's undeformed shape and size.  A reference is refused if edges have flipped since
-    boundary          "fixed": boundary and constrained edges stay; "slide": once the mesh is valid, their
-                      vertices move along the given curves, corners excepted (`SmoothOptions.boundary`)
+    boundary          "fixed": boundary edges stay; "slide": once the mesh is valid, their vertices move along the
+                      given curves, corners excepted (`SmoothOptions.boundary`)
+    interfaces        what becomes of the vertices on constrained edges, the interfaces between regions: "fixed" and
+                      "slide" as for the boundary; "free": the edges stay edges, and their vertices move like any
+                      interior vertex, also where the interface itself came tangled.  The regions then change their
+                      areas, and `Report.regions` says by how much.  None: as `boundary`
     excerpts          whether a mesh of more than 20,000 triangles that is tangled in a small part and excellent
                       elsewhere is worked on only round the tangle, if that is enough; the rest keeps its bits.  This is
                       not done with sizes, targets, reference, sliding or topology "full"
@@ -124,6 +129,7 @@ class ImproveOptions:
     rounds: Rounds = field(default_factory=Rounds)
     refine: Refining = field(default_factory=Refining)
     boundary: Literal["fixed", "slide"] = "fixed"
+    interfaces: Interfaces | None = None
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
     polish: PolishOptions | None = field(default_factory=PolishOptions)
     relocate: Literal["auto"] | bool = "auto"
@@ -141,6 +147,7 @@ class ImproveOptions:
             raise ValueError("ImproveOptions.topology='full' needs method 'default': the paper keeps every vertex")
         if self.boundary not in ("fixed", "slide"):
             raise ValueError(f"ImproveOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
+        check_interfaces(self.interfaces, "ImproveOptions.interfaces")
         if self.slides and self.topology == "full" and self.remesh.split_boundary:
             raise ValueError(
                 "ImproveOptions.boundary='slide' and remesh.split_boundary exclude each other: a boundary edge is "
@@ -157,9 +164,19 @@ class ImproveOptions:
                 raise ValueError(f"ImproveOptions.{name} must be at least 1, not {getattr(self, name)}")
 
     @property
+    def at_boundary(self) -> Literal["fixed", "slide"]:
+        """What becomes of the vertices on the boundary."""
+        return "slide" if "slide" in (self.boundary, self.smooth.boundary) else "fixed"
+
+    @property
+    def at_interfaces(self) -> Interfaces:
+        """What becomes of the vertices on constrained edges."""
+        return self.interfaces or self.smooth.interfaces or self.at_boundary
+
+    @property
     def slides(self) -> bool:
-        """Whether boundary and interface vertices slide along their curves."""
-        return "slide" in (self.boundary, self.smooth.boundary)
+        """Whether boundary or interface vertices slide along their curves."""
+        return "slide" in (self.at_boundary, self.at_interfaces)
 
     @property
     def may_flip(self) -> bool:

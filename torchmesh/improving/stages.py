@@ -13,6 +13,7 @@ used: averaging, re-triangulation, sliding, relocation, remeshing.
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
 
 import torch
 from torch import Tensor
@@ -20,6 +21,7 @@ from torch import Tensor
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import touching
+from ..mesh.interfaces import holding
 from ..mesh.vertex_map import Names
 from ..optimising.metric_field import MetricField
 from ..optimising.moves import Monitor
@@ -32,6 +34,11 @@ from ..untangling.options import UntangleOptions
 from ..warping.femwarp import femwarp
 from .runner import Stage, Work
 from .state import Edits, State
+
+if TYPE_CHECKING:
+    from ..untangling.averaging import AverageOptions
+
+Settings = TypeVar("Settings", UntangleOptions, SmoothOptions, polishing.PolishOptions, "AverageOptions")
 
 
 def flip(options: FlipOptions) -> Stage:
@@ -51,7 +58,7 @@ def untangle_beta(options: UntangleOptions) -> Stage:
     """Moves vertices until no triangle is inverted, or until untangle-beta can do no more."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        mesh, info = untangling.untangle(state.mesh, options, monitor=monitor)
+        mesh, info = untangling.untangle(state.mesh, _at_interfaces(options, state), monitor=monitor)
         return state.at(mesh), Work.done(state, iterations=info.iterations)
 
     return stage
@@ -61,7 +68,8 @@ def regularised(options: UntangleOptions) -> Stage:
     """Moves vertices by the regularised functional, towards the shapes of the reference if there is one."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        mesh, info = untangling.untangle(state.mesh, options, reference=state.reference, monitor=monitor)
+        settings = _at_interfaces(options, state)
+        mesh, info = untangling.untangle(state.mesh, settings, reference=state.reference, monitor=monitor)
         return state.at(mesh), Work.done(state, iterations=info.iterations)
 
     return stage
@@ -71,7 +79,11 @@ def average() -> Stage:
     """Moves the vertices of scrambled interiors to the means of their neighbours."""
     from ..untangling import averaging
 
-    return lambda state, monitor: (state.at(averaging.average(state.mesh)), Work.done(state))
+    def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        options = _at_interfaces(averaging.AverageOptions(), state)
+        return state.at(averaging.average(state.mesh, options)), Work.done(state)
+
+    return stage
 
 
 def warp() -> Stage:
@@ -79,8 +91,9 @@ def warp() -> Stage:
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         assert state.reference is not None
-        undeformed = replace(state.reference, fixed=state.mesh.fixed)
-        return state.at(femwarp(undeformed, state.mesh.points)), Work.done(state)
+        held = holding(state.mesh, state.origin.interfaces).fixed
+        warped = femwarp(replace(state.reference, fixed=held), state.mesh.points)
+        return state.at(state.mesh.with_points(warped.points)), Work.done(state)
 
     return stage
 
@@ -103,7 +116,7 @@ def smooth(options: SmoothOptions) -> Stage:
         free = state.lively if state.curves is None else None
         if state.held is not None:
             free = ~state.held if free is None else free & ~state.held
-        towards = replace(options, targets=state.targets)
+        towards = replace(_at_interfaces(options, state), targets=state.targets)
         mesh, info = smoothing.smooth(state.mesh, towards, free=free, monitor=monitor, curves=state.curves)
         curves = state.curves if info.curves is None else info.curves
         return replace(state.at(mesh), curves=curves), Work.done(state, iterations=info.iterations)
@@ -129,7 +142,7 @@ def polish(options: polishing.PolishOptions) -> Stage:
     """Improves the worst triangles, each with its neighbourhood."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        mesh, info = polishing.polish(_holding(state), options)
+        mesh, info = polishing.polish(_holding(state), _at_interfaces(options, state))
         return state.at(replace(mesh, fixed=state.mesh.fixed)), Work.done(state, flips=info.flips)
 
     return stage
@@ -171,6 +184,11 @@ def attempt(stage: Stage, origin: Callable[[State], MeshBatch] = lambda state: s
         return replace(kept, reasons=found.reasons), replace(work, kept=better)
 
     return attempted
+
+
+def _at_interfaces(options: Settings, state: State) -> Settings:
+    """The options of a step with what was asked for the vertices on interfaces."""
+    return replace(options, interfaces=state.origin.interfaces)
 
 
 def _holding(state: State) -> MeshBatch:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch, put
 from ..mesh.curves import BoundaryCurves
+from ..mesh.interfaces import Interfaces, holding
 from ..mesh.means import local_widths
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import spread
@@ -37,13 +38,15 @@ class Given:
     mesh       the batch
     reference  the same meshes undeformed, or None
     sizes      (V,) the edge lengths asked for, or None
-    stays      (V,) bool, the fixed vertices that do not slide either
+    stays      (V,) bool, the vertices that do not move: fixed or on interfaces, and not sliding
+    interfaces  what becomes of the vertices on interfaces
     """
 
     mesh: MeshBatch
     reference: MeshBatch | None
     sizes: Tensor | None
     stays: Tensor
+    interfaces: Interfaces
 
     @cached_property
     def widths(self) -> Tensor:
@@ -137,13 +140,21 @@ class State:
         if options.slides:
             from ..smoothing.sliding import curves_of
 
-            curves = curves_of(batch, options.smooth.corner_angle, hold)
+            curves = curves_of(
+                batch,
+                options.smooth.corner_angle,
+                hold,
+                boundary=options.at_boundary,
+                interfaces=options.at_interfaces,
+            )
         sizes = options.remesh.sizes
+        stays = holding(batch, options.at_interfaces).fixed
         given = Given(
             batch,
             options.reference,
             sizes if isinstance(sizes, Tensor) else None,
-            batch.fixed if curves is None else batch.fixed & ~curves.may_slide(batch.point_offsets),
+            stays if curves is None else stays & ~curves.may_slide(batch.point_offsets),
+            options.at_interfaces,
         )
         count, device = len(batch), batch.points.device
         q = quality(batch) if known is None else known

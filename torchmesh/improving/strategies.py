@@ -153,7 +153,8 @@ def tell_the_hopeless(state: State, run: Runner, o: ImproveOptions) -> State:
     meshes = at.nonzero().squeeze(1).tolist()
     found: dict[int, list[str]] = {}
     may_change: Literal["keep", "flip"] = "flip" if o.may_flip else "keep"
-    for problem in diagnose(state.mesh.select(at), may_change):
+    mesh, interfaces = state.mesh.select(at), state.origin.interfaces
+    for problem in diagnose(mesh, may_change, interfaces=interfaces):
         found.setdefault(meshes[problem.mesh], []).append(problem.message)
     reasons = {}
     for b, texts in found.items():

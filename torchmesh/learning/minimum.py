@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import holding
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
@@ -61,9 +62,10 @@ class LayerOptions:
     halvings: int = 40
 
     def __post_init__(self) -> None:
-        if self.smooth.boundary != "fixed" or self.smooth.targets is not None:
+        if self.smooth.slides or self.smooth.targets is not None:
             raise ValueError(
-                "LayerOptions.smooth must have boundary='fixed' and no targets: others have no derivative yet"
+                "LayerOptions.smooth must have boundary='fixed' and no targets, and no interfaces that slide: others "
+                "have no derivative yet"
             )
         for name in ("newton_steps", "cg_iterations", "halvings"):
             if getattr(self, name) < 1:
@@ -97,7 +99,7 @@ def minimum(points: Tensor, start: MeshBatch, options: LayerOptions | None = Non
     """
     options = options or LayerOptions()
     with torch.no_grad():
-        state, info = _minimise(start, options)
+        state, info = _minimise(holding(start, options.smooth.interfaces), options)
     out: Tensor = _Minimum.apply(points, state, options)
     return out, info
 

@@ -34,8 +34,8 @@ class MeshBatch:
 
     points             (V, 2) float64 or float32, in any one length unit
     triangles          (T, 3) int64, rows of points; counter-clockwise unless the triangle is inverted
-    fixed              (V,) bool, the vertices that nothing may move
-    constrained_edges  (K, 2) int64, interior edges that no flip may remove
+    fixed              (V,) bool, the vertices that nothing may move: the boundary, and what the user has fixed
+    constrained_edges  (K, 2) int64, interior edges that no flip may remove: interfaces (`mesh.interfaces`)
     point_offsets      (B+1,) int64; mesh b owns points[point_offsets[b]:point_offsets[b + 1]]
     triangle_offsets   (B+1,) int64, the same for triangles
     frames             (B, 3, 3) float64, the plane of each mesh in space: origin, x axis, y axis
@@ -62,9 +62,10 @@ class MeshBatch:
         triangles          (T, 3) integers, rows of points.  Triangles that all run clockwise, or in different
                            directions, are turned round by walking from neighbour to neighbour, with a
                            `MeshWarning`
-        fixed              (V,) bool; None means the boundary.  Boundary vertices, ends of constrained edges and
-                           unused vertices are fixed in any case
-        constrained_edges  (K, 2) integers, edges of the mesh that no flip may remove
+        fixed              (V,) bool; None means the boundary.  Boundary vertices and unused vertices are fixed in any
+                           case
+        constrained_edges  (K, 2) integers, edges of the mesh that no flip may remove.  `femwarp` and `deform` carry
+                           their ends along; everything else holds them, unless its options say otherwise
 
         Raises InvalidMeshError, which names the row, for anything that is not a planar triangle mesh.
         """
@@ -82,7 +83,6 @@ class MeshBatch:
         kept = checked_constraints(constrained_edges, faces, twin, count)
         mask = checked_fixed(fixed, count, flat.device)
         mask = mask | ~used | connectivity.boundary_vertices(faces, twin, count)
-        mask[kept.reshape(-1)] = True
         return cls(
             points=flat,
             triangles=faces,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import holding, released
 from ..mesh.ragged import counts_from_offsets
 from ..smoothing.smoothing import SmoothOptions
 from .condensation import condense
@@ -50,13 +51,14 @@ class Relocated:
 def relocate(batch: MeshBatch, options: RemeshOptions) -> tuple[MeshBatch, Relocated]:
     """Let vertices of valid meshes travel towards the sizes of the options.
 
-    What makes shapes worse is taken back.  Where the boundary is too coarse for the vertices, they are condensed at
-    point sources afterwards (`condensation`).  The boundary is not split, whatever the options say, since that would
-    add vertices.
+    Interfaces stay.  What makes shapes worse is taken back.  Where the boundary is too coarse for the vertices, they
+    are condensed at point sources afterwards (`condensation`).  The boundary is not split, whatever the options say,
+    since that would add vertices.
     """
+    given, batch = batch, holding(batch)
     state = relocated(batch, options)
     condensed, flips = condense(state.batch, options)
-    return condensed, Relocated(state.splits, state.flips + flips, state.size)
+    return released(condensed, given), Relocated(state.splits, state.flips + flips, state.size)
 
 
 def relocated(batch: MeshBatch, options: RemeshOptions) -> RemeshState:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import holding
 from ..mesh.measure import quality
 from ..mesh.ragged import counts_from_offsets, segment_any, spread
 from ..mesh.vertex_map import Names, VertexMap
@@ -59,12 +60,14 @@ class RemeshInfo:
 def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[MeshBatch, RemeshInfo]:
     """Add and remove vertices until edges have the sizes wanted and triangles good shapes.
 
-    Fixed vertices stay, as do boundary and constrained edges (halved at most, with
+    Fixed vertices stay, as do boundary and constrained edges with their ends (halved at most, with
     `split_boundary`) and the regions they bound.  Kept vertices keep their order; inserted ones
     come after them, mesh by mesh.  A mesh that has inverted triangles comes back as it was.
     """
     options = options or RemeshOptions()
+    given, batch = batch, holding(batch)
     state = RemeshState.begin(batch, size_field(batch, "keep"), metric=metric_at(batch, options))
+    begun = state
     valid = ~segment_any(~quality(batch).upright, batch.triangle_offsets)
     if bool(valid.any()):
         sizes = options.sizes
@@ -73,7 +76,7 @@ def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[Mesh
         part = state.select(valid)
         part = replace(part, size=asked_sizes(part.batch, sizes, part.metric, part.wanted))
         state = state.put(valid, remesh_by_plan(part, _plan(options)))
-    return state.batch, RemeshInfo.of(state)
+    return state.released(given, begun), RemeshInfo.of(state)
 
 
 def remesh_valid(batch: MeshBatch, options: RemeshOptions, names: Names | None = None) -> tuple[MeshBatch, RemeshState]:
@@ -84,8 +87,9 @@ def remesh_valid(batch: MeshBatch, options: RemeshOptions, names: Names | None =
     """
     metric = metric_at(batch, options)
     size = asked_sizes(batch, options.sizes, metric, counts_from_offsets(batch.triangle_offsets))
-    state = improved(RemeshState.begin(batch, size, names=names, metric=metric), _plan(options))
-    return state.batch, state
+    begun = RemeshState.begin(holding(batch), size, names=names, metric=metric)
+    state = improved(begun, _plan(options))
+    return state.released(batch, begun), state
 
 
 def _plan(options: RemeshOptions) -> Plan:

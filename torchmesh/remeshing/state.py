@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, constrained_half_edges, vertex_mesh
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
@@ -119,6 +120,17 @@ class RemeshState:
             metric=metric[0] if metric else None,
             **{name: getattr(self, name).index_copy(0, row, getattr(part, name)) for name in _COUNTS},
         )
+
+    def released(self, given: MeshBatch, begun: "RemeshState") -> MeshBatch:
+        """The batch as it is now, with the fixed vertices of `given`, of which `begun` had also held the interfaces.
+
+        Vertices that halve a boundary edge are fixed, those that halve an interface are not.
+        """
+        if begun.batch.fixed is given.fixed:
+            return self.batch
+        fixed = torch.isin(self.names.of, begun.names.of[given.fixed])
+        fixed |= connectivity.boundary_vertices(self.batch.triangles, self.batch.twin, len(fixed))
+        return replace(self.batch, fixed=fixed)
 
     def taken_back(self, at: Tensor, before: "RemeshState") -> "RemeshState":
         """This state with the meshes `at` (B,) bool as they were `before`; flips and rounds still count as done."""

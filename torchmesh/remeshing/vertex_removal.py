@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch, put
+from ..mesh.interfaces import holding
 from ..mesh.measure import quality
 from ..mesh.predicates import orientation
 from ..mesh.vertex_map import Names
@@ -61,7 +62,8 @@ def remove_vertices(batch: MeshBatch, options: RemeshOptions, names: Names | Non
 
     names  of the vertices; None: `batch` is where the vertex map begins
     """
-    state = RemeshState.begin(batch, size_field(batch, "keep"), metric=metric_at(batch, options))
+    begun = RemeshState.begin(holding(batch), size_field(batch, "keep"), metric=metric_at(batch, options))
+    state = begun
     cavities = torch.zeros_like(state.rounds)
     going, rounds = state.every(), 1
     while bool(going.any()):
@@ -79,7 +81,8 @@ def remove_vertices(batch: MeshBatch, options: RemeshOptions, names: Names | Non
         going, rounds = going.masked_scatter(going, (taken > 0) & (left > 0)), 2 * rounds
     kept = state.names.of
     names = Names.of_rows(len(batch.points), kept.device) if names is None else names
-    return state.batch, Removed(cavities, state.collapses, names.select(kept), kept, state.size, state.metric)
+    removed = Removed(cavities, state.collapses, names.select(kept), kept, state.size, state.metric)
+    return state.released(batch, begun), removed
 
 
 def collapse_round(e: Editable) -> Tensor:

@@ -22,6 +22,7 @@ from torch import Tensor
 from ..mesh import triangle
 from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import touching
+from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.measure import Quality, quality
 from ..mesh.neighbourhoods import surroundings
 from ..mesh.ragged import (
@@ -78,6 +79,7 @@ class PolishOptions:
     ratio_gain    the same for the inverse mean ratio
     limit_share   where the boundary allows less than `angle` or `ratio` ask for, this part of what it allows suffices
     angle_margin  degrees above `angle` at which a triangle counts as good, so that rounding cannot turn it bad
+    interfaces    "free": the ends of constrained edges move like any vertex; otherwise they stay
     """
 
     angle: float = 25.0
@@ -97,6 +99,7 @@ class PolishOptions:
     ratio_gain: float = 0.005
     limit_share: float = 0.95
     angle_margin: float = 0.1
+    interfaces: Interfaces | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.angle < 60:
@@ -105,6 +108,7 @@ class PolishOptions:
             raise ValueError(f"PolishOptions.ratio must be above 1, the ideal, not {self.ratio}")
         if not 0 < self.limit_share <= 1:
             raise ValueError(f"PolishOptions.limit_share must be above 0 and at most 1, not {self.limit_share}")
+        check_interfaces(self.interfaces, "PolishOptions.interfaces")
         for name in ("groups", "finalists"):
             if getattr(self, name) < 1:
                 raise ValueError(f"PolishOptions.{name} must be at least 1, not {getattr(self, name)}")
@@ -141,10 +145,12 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
     bad = bad_triangles(batch, quality(batch), options)
     if not bool(bad.any()):
         return batch, PolishInfo(none, none.clone())
-    work = _Polishing(batch, bad, options)
+    # Within, `fixed` says all that stays.
+    free = replace(options, smooth=replace(options.smooth, interfaces="free"))
+    work = _Polishing(holding(batch, options.interfaces), bad, free)
     for level in options.levels:
         work.run(level)
-    return work.whole(), PolishInfo(work.patches, work.flips)
+    return released(work.whole(), batch), PolishInfo(work.patches, work.flips)
 
 
 def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tensor:

@@ -6,7 +6,7 @@ see the difference.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.curve_fitting import fit_curves
 from ..mesh.curve_motion import order_penalty, restore_area
 from ..mesh.curves import BoundaryCurves
+from ..mesh.interfaces import Interfaces, interface_vertices
 from ..mesh.measure import upright
 from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_max, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
@@ -33,15 +34,35 @@ AREA_TOLERANCE = 1e-9
 _HALVINGS = 10
 
 
-def curves_of(batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None = None) -> BoundaryCurves:
+def curves_of(
+    batch: MeshBatch,
+    corner_angle: float = 40.0,
+    hold: Tensor | None = None,
+    *,
+    boundary: Literal["fixed", "slide"] = "slide",
+    interfaces: Interfaces = "slide",
+) -> BoundaryCurves:
     """The curves along the boundary and the constrained edges, with the vertices on them as they are now.
 
     corner_angle  degrees; a vertex where the curve turns by more is a corner and stays
     hold          (V,) bool, further vertices that stay
+    boundary      "fixed": the vertices on the boundary stay
+    interfaces    "fixed": the vertices on constrained edges stay; "slide": those stay that are `fixed`; "free": they
+                  are on no curve, and where an interface ends is no corner of the boundary
 
-    Raises InvalidMeshError when `hold` has another shape or type.
+    Where curves meet is a corner.  Raises InvalidMeshError when `hold` has another shape or type.
     """
+    if interfaces == "free":
+        batch = replace(batch, constrained_edges=batch.constrained_edges[:0])
     network, on_network = _network(batch)
+    if len(batch.constrained_edges):
+        on_boundary = connectivity.boundary_vertices(batch.triangles, batch.twin, len(on_network))
+        inside = interface_vertices(batch) & ~on_boundary
+        on_network &= ~(inside & batch.fixed) if interfaces == "slide" else ~inside
+        if boundary == "fixed":
+            on_network &= ~on_boundary
+    elif boundary == "fixed":
+        on_network = torch.zeros_like(on_network)
     if hold is not None:
         hold = torch.as_tensor(hold, device=on_network.device)
         if hold.dtype != torch.bool or hold.shape != on_network.shape:

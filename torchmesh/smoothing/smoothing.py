@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
@@ -35,8 +36,10 @@ class SmoothOptions:
     first_step        root mean square length of the first step, in mean edge lengths of each vertex
     largest_step      no vertex moves further in one step, in mean edge lengths of each vertex; half an edge keeps most
                       steps from inverting a triangle
-    boundary          "fixed": boundary and constrained edges stay; "slide": their vertices move along the
-                      curves they are on, which keep their shape and the areas on both sides
+    boundary          "fixed": boundary edges stay; "slide": their vertices move along the curves they are on, which
+                      keep their shape and the areas on both sides
+    interfaces        what becomes of the vertices on constrained edges: "fixed" and "slide" as for the boundary, where
+                      "slide" holds vertices of `fixed`; "free": they move like any interior vertex; None: as `boundary`
     targets           what triangles should look like: None: equilateral; a (T, 2, 2) tensor of target matrices,
                       one per triangle of the batch (`target_from`); a `MetricField` (`metric_from`,
                       `MetricField.stretched`); or a function from positions (N, 2) to target matrices (N, 2, 2),
@@ -54,6 +57,7 @@ class SmoothOptions:
     first_step: float = 0.05
     largest_step: float = 0.5
     boundary: Literal["fixed", "slide"] = "fixed"
+    interfaces: Interfaces | None = None
     corner_angle: float = 40.0
     targets: Targets | TargetFunction | None = field(default=None, compare=False)
     single: bool = False
@@ -67,6 +71,7 @@ class SmoothOptions:
             raise ValueError(f"SmoothOptions.max_iterations must not be negative, but is {self.max_iterations}")
         if self.boundary not in ("fixed", "slide"):
             raise ValueError(f"SmoothOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
+        check_interfaces(self.interfaces, "SmoothOptions.interfaces")
         if not 0 <= self.corner_angle <= 180:
             raise ValueError(f"SmoothOptions.corner_angle must lie between 0 and 180 degrees, not {self.corner_angle}")
         object.__setattr__(self, "targets", as_targets(self.targets))
@@ -78,6 +83,16 @@ class SmoothOptions:
         for name in ("first_step", "largest_step"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"SmoothOptions.{name} must be positive, not {getattr(self, name)}")
+
+    @property
+    def at_interfaces(self) -> Interfaces:
+        """What becomes of the vertices on constrained edges."""
+        return self.interfaces or self.boundary
+
+    @property
+    def slides(self) -> bool:
+        """Do vertices slide along curves?"""
+        return "slide" in (self.boundary, self.at_interfaces)
 
 
 def smooth(
@@ -102,11 +117,13 @@ def smooth(
              vertices; has no effect with curves
     """
     options = options or SmoothOptions()
+    given = batch
     refused = segment_any(~upright(batch), batch.triangle_offsets)
-    if curves is None and options.boundary == "slide":
+    if curves is None and options.slides:
         from .sliding import curves_of
 
-        curves = curves_of(batch, options.corner_angle)
+        curves = curves_of(batch, options.corner_angle, boundary=options.boundary, interfaces=options.at_interfaces)
+    batch = holding(batch, options.at_interfaces)
     stays = batch.fixed if curves is None else batch.fixed & ~curves.may_slide(batch.point_offsets)
     may_move = ~stays & ~spread(refused, batch.point_offsets)
     if free is not None:
@@ -132,6 +149,7 @@ def smooth(
         moved = batch.with_points(torch.where(back, batch.points, moved.points))
         if curves is not None:
             curves = curves.put(worse, slide.curves.select(worse))
+    moved = released(moved, given)
     return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, curves)
 
 

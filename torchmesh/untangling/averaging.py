@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch, put
 from ..mesh.connectivity import heads, tails
+from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.ragged import segment_count, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
 from ..mesh.units import centre_and_unit
@@ -30,6 +31,7 @@ class AverageOptions:
     across    the gain is asked of meshes with up to `across` squared free vertices.  An error as wide as the mesh
               takes sweeps in proportion to the vertices across, so of a wider mesh less is asked in proportion
     residual  a valid mesh is done when its residual has fallen to this part of what it was
+    interfaces  "free": the ends of constrained edges move like any vertex; otherwise they stay
     """
 
     sweeps: int = 8
@@ -37,11 +39,13 @@ class AverageOptions:
     gain: float = 0.2
     across: int = 32
     residual: float = 1e-3
+    interfaces: Interfaces | None = None
 
     def __post_init__(self) -> None:
         for name in ("sweeps", "glance", "across"):
             if getattr(self, name) < 1:
                 raise ValueError(f"AverageOptions.{name} must be at least 1, not {getattr(self, name)}")
+        check_interfaces(self.interfaces, "AverageOptions.interfaces")
         for name in ("gain", "residual"):
             if not 0 < getattr(self, name) < 1:
                 raise ValueError(f"AverageOptions.{name} must lie between 0 and 1, not {getattr(self, name)}")
@@ -54,6 +58,7 @@ def average(batch: MeshBatch, options: AverageOptions | None = None) -> MeshBatc
     at rest, or until it no longer gains.  A mesh that gained nothing comes back as it was.
     """
     options = options or AverageOptions()
+    before, batch = batch, holding(batch, options.interfaces)
     result, work = batch, _Averaging(batch)
     going = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
     across = segment_count(~batch.fixed, batch.point_offsets).to(torch.float64).sqrt().clamp_min(options.across)
@@ -78,7 +83,7 @@ def average(batch: MeshBatch, options: AverageOptions | None = None) -> MeshBatc
             last = now
         if not bool(stays.all()):
             going, last, work = going.masked_scatter(going, stays), last[stays], work.select(stays)
-    return result
+    return released(result, before)
 
 
 class _Averaging:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from ..mesh.interfaces import Interfaces, check_interfaces
 from ..optimising.lbfgs import LbfgsOptions
 
 
@@ -36,6 +37,7 @@ class UntangleOptions:
                        the others nine in ten did, after 50 values on average
     stall_ratio        see there; the remaining part of what a mesh had, 1: any gain counts
     stall_depth        see there, in epsilons
+    interfaces         "free": the ends of constrained edges move like any vertex; otherwise they stay
     """
 
     method: Literal["regularised", "beta"] = "regularised"
@@ -54,6 +56,7 @@ class UntangleOptions:
     stall_patience: int = 10
     stall_ratio: float = 0.9
     stall_depth: float = 8.0
+    interfaces: Interfaces | None = None
 
     def __post_init__(self) -> None:
         if self.method not in ("regularised", "beta"):
@@ -63,6 +66,7 @@ class UntangleOptions:
                 raise ValueError(f"UntangleOptions.{name} must be at least 1, not {getattr(self, name)}")
         if not self.size_sweeps or min(self.size_sweeps) < 0:
             raise ValueError(f"UntangleOptions.size_sweeps must be numbers, none negative, not {self.size_sweeps!r}")
+        check_interfaces(self.interfaces, "UntangleOptions.interfaces")
         if self.reach is not None and self.reach < 1:
             raise ValueError(f"UntangleOptions.reach must be at least 1, not {self.reach}")
         if self.local and self.absolute_beta is not None:

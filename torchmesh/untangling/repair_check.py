@@ -6,6 +6,7 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import holding
 from ..triangulating.arrays import signs
 
 
@@ -13,8 +14,8 @@ def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
     """What is wrong with `after` as a repair of `before` in the triangles `rows` (T,) bool; "" if nothing.
 
     Checked are: the exact sign of every triangle of `rows`; that each edge belongs to two triangles, which run along it
-    in opposite directions, or to the same boundary as before; that constrained edges and fixed vertices are there;
-    and that the same vertices are used by as many triangles, so that the Euler number is the same.
+    in opposite directions, or to the same boundary as before; that constrained edges, their ends and fixed vertices are
+    there; and that the same vertices are used by as many triangles, so that the Euler number is the same.
     """
     triangles = after.triangles
     sign = signs(after.points.detach().to("cpu", torch.float64).numpy(), *triangles.cpu().numpy().T)
@@ -35,7 +36,8 @@ def why_not_certified(before: MeshBatch, after: MeshBatch, rows: Tensor) -> str:
     missing = ~torch.isin(*(connectivity.keys_of(edges, count) for edges in (after.constrained_edges, present)))
     if bool(missing.any()):
         return f"the constrained edge {after.constrained_edges[missing][0].tolist()} is gone"
-    if not torch.equal(after.points[after.fixed], before.points[before.fixed]):
+    fixed = holding(before).fixed
+    if not torch.equal(after.points[fixed], before.points[fixed]):
         return "a fixed vertex moved"
     # With the same boundary and number of triangles this is the Euler number.
     used, once = triangles.unique(), before.triangles.unique()

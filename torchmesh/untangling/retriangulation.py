@@ -16,6 +16,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, constrained_half_edges, join
+from ..mesh.interfaces import holding
 from ..triangulating.arrays import Obstacle, among, distinct, signs
 from ..triangulating.polygon import unit_exponent
 from .cavity import Cavity
@@ -46,7 +47,7 @@ def retriangulate(mesh: MeshBatch, cavity: Tensor, keep: Tensor | None = None) -
     """Make the triangles of `cavity` (T,) bool anew, wherever their interior vertices are now.
 
     Constrained edges are inner walls: each component of the cavity that they close off is triangulated alone.
-    Fixed vertices, constrained edges, the boundary and the triangles outside the cavity stay.
+    Fixed vertices, constrained edges and their ends, the boundary and the triangles outside the cavity stay.
 
     keep  (V,) bool: the free vertices that keep their position where possible; None: all.  The others are spread over
           the cavity, in density by the squared length of the boundary edges nearby
@@ -131,7 +132,8 @@ class _Work:
         self.exponent = unit_exponent(original)
         self.points = np.ldexp(original, -self.exponent)
         self.triangles = _numpy(mesh.triangles).copy()
-        self.fixed = _numpy(mesh.fixed)
+        # The walls of a cavity stay where they are.
+        self.fixed = _numpy(holding(mesh).fixed)
         self.keep = np.ones(len(original), bool) if keep is None else _numpy(torch.as_tensor(keep))
         if self.keep.shape != self.fixed.shape or self.keep.dtype != np.bool_:
             raise InvalidMeshError(f"keep must be ({len(original)},) bool, not {self.keep.shape} {self.keep.dtype}")

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, put, triangle_mesh
+from ..mesh.interfaces import holding, released
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, segment_count, segment_sum, spread
@@ -45,12 +46,14 @@ def untangle(
     options = options or UntangleOptions()
     if reference is not None:
         check_reference(batch, reference)
+    given, batch = batch, holding(batch, options.interfaces)
     tangled = segment_any(~upright(batch), batch.triangle_offsets)
     may_move = ~batch.fixed & spread(tangled, batch.point_offsets)
     if free is not None:
         may_move &= free
     if options.method == "beta":
-        return untangle_beta(batch, may_move, options, monitor)
+        moved, info = untangle_beta(batch, may_move, options, monitor)
+        return released(moved, given), info
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
     moved, info = try_regularised(batch, packing, target, size, options, monitor, settle=reference is not None)
@@ -66,7 +69,7 @@ def untangle(
         now = moved.select(again)
         moved = put(moved, again, put(now, fewer, tried.select(fewer)) if bool(fewer.any()) else now)
         info = _merged(info, again, its, fewer)
-    return moved, info
+    return released(moved, given), info
 
 
 def check_reference(batch: MeshBatch, reference: MeshBatch) -> None:

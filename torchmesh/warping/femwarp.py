@@ -1,29 +1,45 @@
 """FEMWARP: carry the interior of a mesh along with its boundary."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.triangle import corners
 from ..optimising.laplacian import cotangent_weights, harmonic_extension
 
 
-def femwarp(batch: MeshBatch, new_points: Tensor) -> MeshBatch:
+def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
     """Move the fixed vertices to `new_points` and let the others follow harmonically.
 
     new_points  (V, 2) in the batch's unit; the rows of fixed vertices count
+    hold        (V,) bool, further vertices whose rows count, such as those of an interface whose motion is known
 
+    Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held.
     Each interior vertex stays the same weighted mean of its neighbours, with the P1
     stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
     Vavasis, Analysis of and workarounds for element reversal, BIT 50, 2010).  A large motion may
     invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
     undeformed mesh is inverted, or new positions are not finite or of another shape.
     """
-    target = boundary_goal(batch, new_points, "femwarp")
+    fixed = with_held(batch, hold).fixed
+    target = boundary_goal(replace(batch, fixed=fixed), new_points, "femwarp")
     weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
-    return batch.with_points(harmonic_extension(batch.triangles, weights, batch.fixed, target, batch.point_offsets))
+    return batch.with_points(harmonic_extension(batch.triangles, weights, fixed, target, batch.point_offsets))
+
+
+def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:
+    """The batch with the vertices `hold` (V,) bool fixed, too; InvalidMeshError for another shape or type."""
+    if hold is None:
+        return batch
+    hold = torch.as_tensor(hold, device=batch.fixed.device)
+    if hold.dtype != torch.bool or hold.shape != batch.fixed.shape:
+        raise InvalidMeshError(f"hold must be ({len(batch.fixed)},) bool, not {tuple(hold.shape)} {hold.dtype}")
+    return replace(batch, fixed=batch.fixed | hold)
 
 
 def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
@@ -41,12 +57,15 @@ def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
     return torch.where(batch.fixed[:, None], target, batch.points)
 
 
-def relax(batch: MeshBatch) -> MeshBatch:
+def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatch:
     """Move every free vertex to the mean of its neighbours, wherever it was.
+
+    interfaces  "free": the ends of constrained edges move, too; otherwise they stay
 
     With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
     Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.
     """
     one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
-    points = harmonic_extension(batch.triangles, (one, one, one), batch.fixed, batch.points, batch.point_offsets)
+    fixed = holding(batch, interfaces).fixed
+    points = harmonic_extension(batch.triangles, (one, one, one), fixed, batch.points, batch.point_offsets)
     return batch.with_points(points)
