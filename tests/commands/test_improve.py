@@ -225,3 +225,25 @@ def test_strict_writes_nothing_and_names_what_would_be_lost(call, folder):
     many = call("batch", "given.vtu", "--out", "done", "--format", "off", "--strict", "--workers", "1", "-q")
     assert many.status == 2
     assert not (folder / "done" / "given.off").exists()
+
+
+def test_interfaces_may_move_and_the_areas_are_told(tmp_path):
+    mesh = meshes.l_shape(4)
+    inner = mesh.constrained_edges[0, 1], mesh.constrained_edges[1, 1]
+    points = np.pad(mesh.points.numpy(), ((0, 0), (0, 1)))
+    points[list(inner)] = points[list(inner)[::-1]]
+    tags = (meshes.l_shape(4).points[mesh.triangles, 0].mean(1) > 1).int().numpy() + 1
+    given = meshio.Mesh(points, [("triangle", mesh.triangles.numpy())], cell_data={"region": [tags]})
+    given.write(tmp_path / "in.vtu")
+    done = process("improve", "in.vtu", "out.vtu", folder=tmp_path)
+    assert done.status == 1
+    assert "--interfaces free" in done.err
+    done = process("improve", "in.vtu", "out.vtu", "--interfaces", "free", "--report", "r.json", folder=tmp_path)
+    assert (done.status, done.err) == (0, "")
+    assert "interfaces: 2 regions, areas changed by" in done.out
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["interfaces"] == "free"
+    assert sum(region["after"] for region in report["regions"]) == pytest.approx(3)
+    after = meshio.read(tmp_path / "out.vtu")
+    assert inverted(tmp_path / "out.vtu") == 0
+    assert sorted(after.cell_data["region"][0]) == sorted(tags)

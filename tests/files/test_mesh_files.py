@@ -10,6 +10,7 @@ from file_contents import grid_arrays, save
 from torchmesh import MeshBatch, join
 from torchmesh.errors import InvalidMeshError
 from torchmesh.files.mesh_files import held, read, write
+from torchmesh.mesh.connectivity import boundary_vertices
 
 
 def test_a_new_file_needs_no_like(tmp_path):
@@ -67,3 +68,20 @@ def test_a_file_that_marks_the_whole_boundary_holds_none_of_it(tmp_path):
     write(tmp_path / "a.vtu", inner)
     assert bool(meshio.read(tmp_path / "a.vtu").point_data["fixed"].any())
     assert not bool(held(tmp_path / "a.vtu").any())
+
+
+def test_an_interface_is_not_marked_fixed_in_a_file(tmp_path):
+    points, faces = grid_arrays()
+    right = points[faces, 0].mean(1) > points[:, 0].max() / 2
+    regions = meshio.Mesh(points, [("triangle", faces)], cell_data={"region": [right + 1]})
+    mesh = read(save(tmp_path / "a.vtu", regions))
+    inner = mesh.constrained_edges.unique()
+    rim = boundary_vertices(mesh.triangles, mesh.twin, len(mesh.points))
+    assert torch.equal(mesh.fixed, rim)
+    assert len(inner[~rim[inner]]) > 2
+    for like in (None, tmp_path / "a.vtu"):
+        write(tmp_path / "b.vtu", mesh, like=like)
+        assert "fixed" not in meshio.read(tmp_path / "b.vtu").point_data
+        back = read(tmp_path / "b.vtu")
+        assert torch.equal(back.fixed, mesh.fixed)
+        assert len(back.constrained_edges) == len(mesh.constrained_edges)

@@ -15,6 +15,7 @@ from .shared_options import (
     BetaOption,
     Boundary,
     BoundaryOption,
+    InterfacesOption,
     Method,
     MethodOption,
     QuietOption,
@@ -35,6 +36,7 @@ def animate(
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
+    interfaces: InterfacesOption = None,
     beta: BetaOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -49,7 +51,7 @@ def animate(
     from ..pictures.films import animate as write_film
     from ..pictures.films import check_film_path
 
-    options = improve_options(method, topology, beta, boundary)
+    options = improve_options(method, topology, beta, boundary, interfaces)
     check_distinct(source, film)
     check_film_path(film)
     observed = observe(open_mesh(source), options, quiet)

@@ -20,6 +20,7 @@ from .shared_options import (
     BoundaryOption,
     Fields,
     FieldsOption,
+    InterfacesOption,
     Method,
     MethodOption,
     QuietOption,
@@ -82,6 +83,7 @@ def batch(
     topology: TopologyOption = Topology.flip,
     beta: BetaOption = None,
     boundary: BoundaryOption = Boundary.fixed,
+    interfaces: InterfacesOption = None,
     fields: FieldsOption = Fields.interpolate,
     suffix: Annotated[
         str | None,
@@ -105,7 +107,7 @@ def batch(
     """
     from ..batches.runs import BUDGET, Run
 
-    options = improve_options(method, topology, beta, boundary)
+    options = improve_options(method, topology, beta, boundary, interfaces)
     try:
         run = Run.plan(
             sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value

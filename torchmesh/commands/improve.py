@@ -18,6 +18,7 @@ from .shared_options import (
     Fields,
     FieldsOption,
     InArgument,
+    InterfacesOption,
     Method,
     MethodOption,
     QuietOption,
@@ -33,12 +34,14 @@ from .targets import check_distinct, check_mesh_target
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
     from ..files.time_series import SeriesDraft
+    from ..mesh.regions import RegionAreas
 
 EXAMPLES = (
     "torchmesh improve tangled.vtu better.vtu",
     "torchmesh improve tangled.msh better.vtu --plot picture.png --report report.json",
     "torchmesh improve tangled.vtk better.vtk --topology keep",
     "torchmesh improve tangled.vtk better.vtk --boundary slide",
+    "torchmesh improve regions.msh better.msh --interfaces free",
     "torchmesh improve moved.vtu better.vtu --fields carry",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
     "torchmesh improve plate.inp better.inp --strict",
@@ -56,6 +59,7 @@ def improve(
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
+    interfaces: InterfacesOption = None,
     beta: BetaOption = None,
     fields: FieldsOption = Fields.interpolate,
     report: Annotated[
@@ -74,7 +78,7 @@ def improve(
     """Untangle a mesh and give its triangles good shapes.
 
     The boundary, region interfaces and vertices marked by the point field 'fixed' stay where they are, unless
-    --boundary slide is given. OUT is written
+    --boundary slide or --interfaces is given. OUT is written
     in any case, whole; if it still has inverted triangles, standard error says so and the exit status is 1.
 
     Decks of solvers (Abaqus and CalculiX .inp, Nastran .bdf, Kratos .mdpa, Exodus .e) are
@@ -83,7 +87,7 @@ def improve(
     """
     from ..batches.file_improvement import improve_series, open_mesh
 
-    options = improve_options(method, topology, beta, boundary)
+    options = improve_options(method, topology, beta, boundary, interfaces)
     _check_targets(source, target, report, plot)
     use_threads(threads)
 
@@ -106,6 +110,7 @@ def improve(
             "method": method.value,
             "topology": topology.value,
             "boundary": boundary.value,
+            "interfaces": options.at_interfaces,
             "beta": beta,
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
@@ -115,9 +120,18 @@ def improve(
         _write(improved, draft, report, document, plot, f"{source.name}: before and after")
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
+        if improved.report.regions is not None:
+            _print_regions(improved.report.regions)
         if str(draft.fields):
             console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
     return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0])
+
+
+def _print_regions(regions: "RegionAreas") -> None:
+    """Says how the areas of regions changed with the interfaces between them."""
+    change = 100 * regions.change
+    areas = f"{console.counted(len(change), 'region')}, areas changed by {change.min():+.3g} to {change.max():+.3g} %"
+    console.stdout().print(f"interfaces: {areas}", markup=False, soft_wrap=True)
 
 
 def _check_targets(source: Path, target: Path, report: Path | None, plot: Path | None) -> None:

@@ -16,6 +16,7 @@ from .shared_options import (
     BetaOption,
     Boundary,
     BoundaryOption,
+    InterfacesOption,
     Method,
     MethodOption,
     QuietOption,
@@ -56,6 +57,7 @@ def report(
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
+    interfaces: InterfacesOption = None,
     beta: BetaOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -72,7 +74,7 @@ def report(
     from ..mesh.measure import quality
     from ..pictures.page import report_page
 
-    options = improve_options(method, topology, beta, boundary)
+    options = improve_options(method, topology, beta, boundary, interfaces)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a page's name ends in .html")
     check_distinct(source, target, page)

@@ -6,7 +6,7 @@ Nothing here imports torch before it is needed.
 import math
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -51,6 +51,14 @@ class Boundary(str, Enum):
     slide = "slide"
 
 
+class InterfaceChoice(str, Enum):
+    """Whether vertices on the interfaces between regions may move."""
+
+    fixed = "fixed"
+    slide = "slide"
+    free = "free"
+
+
 class Fields(str, Enum):
     """What becomes of the fields of a file."""
 
@@ -80,10 +88,21 @@ TopologyOption = Annotated[
 BoundaryOption = Annotated[
     Boundary,
     typer.Option(
-        help="Do the vertices of boundary and region interfaces stay, or slide along their curves? Corners (turns of "
+        help="Do the vertices of the boundary stay, or slide along their curves? Corners (turns of "
         "more than 40 degrees) stay, and so do vertices of quads, vertices between boundary lines of different tags, "
         "and those that the point field 'fixed' marks, unless it marks the whole boundary. Curves keep their shape and "
         "the areas on both sides."
+    ),
+]
+
+
+InterfacesOption = Annotated[
+    InterfaceChoice | None,
+    typer.Option(
+        help="Do the vertices on interfaces between regions, and on lines inside, stay, slide along their curves as "
+        "those of the boundary, or move like any other? With free, triangles stay in their regions, and regions change "
+        "their areas; it also mends interfaces that came tangled. Default: as --boundary.",
+        show_default=False,
     ),
 ]
 
@@ -126,7 +145,11 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings
 
 
 def improve_options(
-    method: Method, topology: Topology, beta: float | None, boundary: Boundary = Boundary.fixed
+    method: Method,
+    topology: Topology,
+    beta: float | None,
+    boundary: Boundary = Boundary.fixed,
+    interfaces: InterfaceChoice | None = None,
 ) -> "ImproveOptions":
     """The options of `improve` that the options of a command stand for; raises UsageError."""
     from ..improving.options import ImproveOptions
@@ -135,11 +158,16 @@ def improve_options(
         raise UsageError("--beta needs --method paper: the default method has no absolute beta")
     if beta is not None and not math.isfinite(beta):
         raise UsageError(f"--beta must be a finite number, not {beta}")
+    chosen: dict[str, Any] = {
+        "topology": topology.value,
+        "boundary": boundary.value,
+        "interfaces": None if interfaces is None else interfaces.value,
+    }
     try:
         if method is Method.paper:
-            return ImproveOptions.paper(beta=beta, topology=topology.value, boundary=boundary.value)
+            return ImproveOptions.paper(beta=beta, **chosen)
         make = ImproveOptions.fast if method is Method.fast else ImproveOptions
-        return make(topology=topology.value, boundary=boundary.value)
+        return make(**chosen)
     except ValueError as error:
         raise UsageError(str(error)) from None
 

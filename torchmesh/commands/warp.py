@@ -78,7 +78,8 @@ def warp(
 
     A PART is 'outer:N' or 'hole:N', a loop of the boundary as --list names it, or 'X0,Y0,X1,Y1', the boundary and
     other fixed vertices inside that box of the undeformed mesh. Turns come first, then all moves and the displacement
-    field add up; what is not named stays.
+    field add up; what is not named stays. Interfaces between regions follow as the rest of the interior does, unless
+    the point field 'fixed' marks them.
 
     A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps none
     inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit status

@@ -18,10 +18,11 @@ from torch import Tensor
 from ..diagnosing.diagnosis import diagnose
 from ..errors import ConvergenceError
 from ..mesh.batch import MeshBatch, put
+from ..mesh.interfaces import released
 from ..mesh.ragged import spread
 from ..status import Status
 from ..warping.boundary_path import BoundaryPath
-from ..warping.femwarp import boundary_goal, femwarp
+from ..warping.femwarp import boundary_goal, femwarp, with_held
 from .deform_options import DeformOptions
 from .motion import Motion, advance
 from .pipeline import improve
@@ -89,6 +90,7 @@ def deform(
     options: DeformOptions | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
+    hold: Tensor | None = None,
 ) -> tuple[MeshBatch, DeformReport]:
     """Move the boundary of a valid batch to `new_points` in steps so small that no triangle ever inverts.
 
@@ -100,6 +102,10 @@ def deform(
     new_points  (V, 2) in the unit of the batch; only the rows of fixed vertices are read
     steps       "auto": as few steps as possible; a number: at least so many, of equal length where possible
     progress    called now and then with a `Progress`
+    hold        (V,) bool, further vertices whose rows are read, such as those of an interface whose motion is known
+
+    Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held; the
+    smoothing between the steps and the improvement at the end hold them, unless their options say otherwise.
 
     A mesh stops on the way if its boundary runs into itself, or if its triangles (topology "keep") allow no further
     step.  It is then valid, and the report says where it stopped.  Its status is `Status.STALLED`, or
@@ -110,6 +116,7 @@ def deform(
     options = options or DeformOptions()
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
+    given, batch = batch, with_held(batch, hold)
     target = boundary_goal(batch, new_points, "deform")
     path = BoundaryPath.of(batch, target, straight=options.path == "straight")
     motion = Motion.begin(batch, path, 1.0 if steps == "auto" else 1.0 / steps)
@@ -117,7 +124,8 @@ def deform(
         before, motion = motion, advance(motion, options)
         if progress is not None and bool((motion.steps > before.steps).any()):
             progress(Progress("deform", int(before.going.sum()), 0, int(motion.steps.max())))
-    return _arrived(motion, batch.with_points(target), options, progress)
+    after, report = _arrived(motion, batch.with_points(target), options, progress)
+    return (after if hold is None else released(after, given, report.report.vertex_map)), report
 
 
 def _arrived(

@@ -8,16 +8,19 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import interface_vertices, released
 from ..mesh.ragged import segment_count
+from ..mesh.regions import RegionAreas, region_areas
 from ..status import Status
 from ..untangling.untangling import check_reference
+from ..warping.femwarp import with_held
 from .forked import can_fork, in_processes, one_thread
 from .local_repair import on_submeshes
 from .options import ImproveOptions
 from .report import Progress, Report, left_over
 from .runner import Job, Log
 from .state import Edits, State
-from .strategies import improve_batch
+from .strategies import INTERFACES_HELD, improve_batch
 from .travel import travel_of
 
 if TYPE_CHECKING:
@@ -43,7 +46,7 @@ def improve(
     observe   called after each stage with its name and the whole batch at that time, for example by `report_page` and
               `animate`; the first call has "initial" and the batch as given.  With one mesh, the calls are the rows of
               `report.steps[0]`
-    hold      (V,) bool, vertices that do not slide; it is read with boundary="slide" only
+    hold      (V,) bool, vertices that neither slide nor move with interfaces that are free
 
     A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress` is then
     called once for each shard.
@@ -55,11 +58,15 @@ def improve(
     workers = options.workers or torch.get_num_threads()
     shared = observe is None and hold is None and options.separable and can_fork(batch.points.device)
     log = Log(len(batch), progress, observe)
+    given = batch
+    if hold is not None and options.at_interfaces == "free":
+        batch = with_held(batch, hold & interface_vertices(batch))
     with one_thread():
         state = State.of(batch, options, hold)
         log.mark("initial", state, torch.ones_like(state.valid))
         state = whole_job(options, workers if shared else 1)(state, log)
-    return state.mesh, report_on(state, log, options)
+    report = report_on(state, log, options)
+    return (state.mesh if batch is given else released(state.mesh, given, report.vertex_map)), report
 
 
 def whole_job(options: ImproveOptions, workers: int) -> Job:
@@ -72,18 +79,45 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
 
 def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
     """The report on a finished state."""
+    regions = _areas_of_regions(state)
     return Report(
         status=state.status,
         valid=state.valid,
         certified=state.certified,
         quality=state.quality,
         steps=log.steps,
-        messages=[_message(b, state, log, options) for b in range(len(state))],
+        messages=[_message(b, state, log, options) + _regions_text(b, regions) for b in range(len(state))],
         moved=_moved(state),
         remeshed=_remeshed(state) if options.topology == "full" else None,
         sizes=state.conformity,
         travel=travel_of(state),
+        regions=regions,
     )
+
+
+def _tangled_at_interface(b: int, state: State) -> bool:
+    """Whether an inverted triangle of mesh `b` has a corner on an interface that is held."""
+    if state.origin.interfaces == "free" or not len(state.mesh.constrained_edges):
+        return False
+    rows = slice(*state.mesh.triangle_offsets[b : b + 2].tolist())
+    inverted = state.mesh.triangles[rows][~state.quality.upright[rows]]
+    return bool(interface_vertices(state.mesh)[inverted].any())
+
+
+def _areas_of_regions(state: State) -> RegionAreas | None:
+    """The areas of the regions before and after, where interfaces were free to move."""
+    if state.origin.interfaces != "free" or not len(state.origin.mesh.constrained_edges):
+        return None
+    return region_areas(state.given, state.mesh, None if state.names is None else state.names.vertex_map())
+
+
+def _regions_text(b: int, regions: RegionAreas | None) -> str:
+    """By how much the regions of mesh `b` have changed."""
+    change = torch.zeros(0) if regions is None else 100 * regions.change[regions.mesh == b]
+    if len(change) < 2 or bool((change == 0).all()):
+        return ""
+    low, high = float(change.min()), float(change.max())
+    return f"; interfaces moved: the areas of {len(change):,} regions changed by {low:+.3g} to {high:+.3g} percent"
 
 
 def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
@@ -94,6 +128,7 @@ def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
         text = reason
     elif status in (Status.STALLED, Status.ITERATION_LIMIT) and log.steps[b][-1].inverted:
         text = left_over(reason or text, log.steps[b], not options.may_flip)
+        text += INTERFACES_HELD if _tangled_at_interface(b, state) else ""
     return text + state.notes[b]
 
 

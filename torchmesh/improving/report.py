@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..errors import ConvergenceError
 from ..mesh.measure import Quality
+from ..mesh.regions import RegionAreas
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
 
@@ -78,6 +79,7 @@ class Report:
     sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None if no sizes were asked
                for and the number of vertices stays.  Under "flip", sizes that were given by vertex have travelled with
                the vertices, and are scaled so that they fit the number of vertices
+    regions    the areas of the regions between interfaces, before and after; None unless interfaces moved freely
     lost       for each mesh, names for what its file held and the written one does not; it is filled when a file is
                written, and empty for meshes that come from no file
     """
@@ -93,6 +95,7 @@ class Report:
     sizes: SizeConformity | None = None
     lost: list[list[str]] = field(default_factory=list)
     travel: Travel | None = None
+    regions: RegionAreas | None = None
 
     def __post_init__(self) -> None:
         self.lost.extend([] for _ in range(len(self.messages) - len(self.lost)))
@@ -153,6 +156,7 @@ class Report:
                 "worked": worked[b],
                 "moved": int(self.moved[b]),
                 **({} if self.travel is None else {"travel": self.travel.record(b)}),
+                **({} if self.regions is None else {"regions": self.regions.record(b)}),
                 "flipped": flipped[b],
                 "cavities": cavities[b],
                 "lost": self.lost[b],

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..diagnosing.diagnosis import diagnose
 from ..flipping.delaunay import FlipOptions
-from ..mesh.batch import MeshBatch
+from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.certificate import same_frame
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
@@ -55,6 +55,9 @@ from .state import State
 from .travel import tethered
 
 Step = Callable[[State, Runner], State]
+
+# What is said of a tangled mesh that might be mended if its interfaces could move.
+INTERFACES_HELD = "; its interfaces are held where they are: interfaces='free' (--interfaces free) lets them move"
 
 
 def improve_batch(state: State, log: Log, options: ImproveOptions) -> State:
@@ -161,7 +164,18 @@ def tell_the_hopeless(state: State, run: Runner, o: ImproveOptions) -> State:
         more = f"; and {len(texts) - 5} more of the kind" if len(texts) > 5 else ""
         reasons[b] = "; ".join(texts[:5]) + more
     hopeless = torch.zeros_like(at).index_fill_(0, torch.tensor(list(found), dtype=torch.int64, device=at.device), True)
-    return state.explained(reasons).ended(hopeless, Status.INFEASIBLE)
+    state = state.explained(reasons).ended(hopeless, Status.INFEASIBLE)
+    return state.noted(dict.fromkeys(_stuck_by_interfaces(state, hopeless, may_change), INTERFACES_HELD))
+
+
+def _stuck_by_interfaces(state: State, hopeless: Tensor, may_change: Literal["keep", "flip"]) -> list[int]:
+    """Those of the meshes `hopeless` (B,) bool in which nothing is in the way but interfaces that are held."""
+    has = torch.zeros_like(hopeless).index_fill_(0, constraint_owner(state.mesh), True)
+    rows = (hopeless & has).nonzero().squeeze(1).tolist()
+    if state.origin.interfaces == "free" or not rows:
+        return []
+    left = {problem.mesh for problem in diagnose(state.mesh.select(hopeless & has), may_change, interfaces="free")}
+    return [b for i, b in enumerate(rows) if i not in left]
 
 
 def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from .batch import MeshBatch
+from .vertex_map import VertexMap
 
 # "fixed": the vertices stay.  "slide": they move along the curves that the interfaces are.  "free": they move like any
 # interior vertex, and the regions change their shapes.
@@ -43,6 +44,14 @@ def holding(batch: MeshBatch, interfaces: Interfaces | None = None) -> MeshBatch
     return replace(batch, fixed=batch.fixed | interface_vertices(batch))
 
 
-def released(after: MeshBatch, before: MeshBatch) -> MeshBatch:
-    """`after`, which has the vertices of `before`, with the fixed vertices of `before`."""
-    return after if after.fixed is before.fixed else replace(after, fixed=before.fixed)
+def released(after: MeshBatch, before: MeshBatch, vertex_map: VertexMap | None = None) -> MeshBatch:
+    """`after` with those vertices fixed that are fixed in `before`, from which it came.
+
+    vertex_map  which vertices of `after` come from which of `before`; None: row by row.  Inserted ones stay as they are
+    """
+    if after.fixed is before.fixed:
+        return after
+    if vertex_map is None:
+        return replace(after, fixed=before.fixed)
+    row = vertex_map.new_to_old
+    return replace(after, fixed=torch.where(row >= 0, before.fixed[row], after.fixed))
