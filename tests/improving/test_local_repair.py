@@ -24,7 +24,7 @@ from torchmesh.improving.strategies import improve_batch
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.batch import put
 
-WHOLE = ImproveOptions(excerpts=False)
+WHOLE = ImproveOptions(local_repair=None)
 
 
 @pytest.fixture
@@ -196,7 +196,7 @@ def test_the_bound_of_large_is_as_documented():
 @pytest.mark.parametrize(
     "options",
     [
-        ImproveOptions(excerpts=False),
+        ImproveOptions(local_repair=None),
         ImproveOptions.paper(),
         ImproveOptions(topology="full"),
         ImproveOptions(boundary="slide"),
@@ -425,7 +425,7 @@ def test_a_submesh_of_poor_shape_is_left_for_the_whole_mesh():
     mesh = poor()[0]
     seen: list[tuple[str, MeshBatch]] = []
     after, report = improve(mesh, keep(), observe=lambda stage, batch: seen.append((stage, batch)))
-    usual, its = improve(mesh, dataclasses.replace(keep(), excerpts=False))
+    usual, its = improve(mesh, dataclasses.replace(keep(), local_repair=None))
     assert_same_rows(after, usual)
     assert stages(report)[:2] == ["initial", "submesh"]
     back = stages(report).index("whole")

@@ -39,6 +39,7 @@ def on_submeshes(job: Job, options: ImproveOptions) -> Job:
     """
 
     def on_parts(state: State, log: Log) -> State:
+        assert options.local_repair is not None
         found = damaged_submeshes(state.mesh, state.quality, options.local_repair)
         if found is None:
             return job(state, log)

@@ -79,6 +79,39 @@ class LocalRepair:
 
 
 @dataclass(frozen=True)
+class Damage:
+    """What scope "damage" takes for damage, and how far it reaches round it; ratios are inverse mean ratios.
+
+    worse       a triangle with a higher ratio, as the shape that is meant at its place sees it, is damage, as inverted
+                ones are: in remeshing, too, no triangle may come out worse than 3
+    stretched   where the shape meant has a higher ratio for most of a part, it is the aim: 1.25 is two to one
+    rings       rings of vertices round the damage that may move at first, the corners of damaged triangles among them
+    growth      how many times as many may move after a part could not be mended, up to the whole mesh
+    growths_for_shapes  a part that is valid grows so often at most, so that triangles which the boundary forces to be
+                bad do not set the whole mesh in motion
+    """
+
+    worse: float = 3.0
+    stretched: float = 1.25
+    rings: int = 2
+    growth: float = 2.0
+    growths_for_shapes: int = 2
+
+    def __post_init__(self) -> None:
+        for name in ("worse", "stretched", "growth"):
+            if not getattr(self, name) > 1:
+                raise ValueError(f"Damage.{name} must be above 1, not {getattr(self, name)}")
+        if self.rings < 1:
+            raise ValueError(f"Damage.rings must be at least 1, not {self.rings}")
+        if self.growths_for_shapes < 0:
+            raise ValueError(f"Damage.growths_for_shapes must not be negative, but is {self.growths_for_shapes}")
+
+    def rings_at(self, level: int) -> int:
+        """The rings after a part has grown so often; each growth adds one at least."""
+        return max(self.rings + level, round(self.rings * self.growth**level))
+
+
+@dataclass(frozen=True)
 class ImproveOptions:
     """How `improve` works.
 
@@ -108,10 +141,15 @@ class ImproveOptions:
                       "slide" as for the boundary; "free": the edges stay edges, and their vertices move like any
                       interior vertex, also where the interface itself came tangled.  The regions then change their
                       areas, and `Report.regions` says by how much.  None: as `boundary`
-    excerpts          whether a mesh of more than 20,000 triangles that is tangled in a small part and excellent
-                      elsewhere is worked on only round the tangle, if that is enough; the rest keeps its bits.  This is
-                      not done with sizes, targets, reference, sliding or topology "full"
-    local_repair      what small, large and excellent mean there
+    scope             "all": every triangle may be improved; "damage": only triangles that are inverted, or much worse
+                      than the shape that is meant at their place, and as much round them as mending takes.  All else
+                      keeps its bits.  The shape meant is that of targets or of the reference, and else the local
+                      median shape
+    damage            what is damage, and how far scope "damage" reaches round it
+    local_repair      under scope "all", a mesh of more than 20,000 triangles that is tangled in a small part and
+                      excellent elsewhere is worked on only round the tangle, if that is enough; the rest keeps its
+                      bits.  This is not done with sizes, targets, reference, sliding or topology "full".  The record
+                      says what small, large and excellent mean; None: it is never done
     workers           how many processes share a large batch, on Linux, under topology "keep" or "flip"; None means as
                       many as torch has threads (`torch.set_num_threads`, OMP_NUM_THREADS), and 1 means this one only
     """
@@ -134,8 +172,9 @@ class ImproveOptions:
     polish: PolishOptions | None = field(default_factory=PolishOptions)
     relocate: Literal["auto"] | bool = "auto"
     reference: MeshBatch | None = None
-    excerpts: bool = True
-    local_repair: LocalRepair = field(default_factory=LocalRepair)
+    scope: Literal["all", "damage"] = "all"
+    damage: Damage = field(default_factory=Damage)
+    local_repair: LocalRepair | None = field(default_factory=LocalRepair)
     workers: int | None = None
 
     def __post_init__(self) -> None:
@@ -153,6 +192,13 @@ class ImproveOptions:
                 "ImproveOptions.boundary='slide' and remesh.split_boundary exclude each other: a boundary edge is "
                 "halved on its chord, beside the curve along which its ends slide. Let the one be done first, "
                 "then the other"
+            )
+        if self.scope not in ("all", "damage"):
+            raise ValueError(f"ImproveOptions.scope must be 'all' or 'damage', not {self.scope!r}")
+        if self.scope == "damage" and self.topology == "full" and self.remesh.split_boundary:
+            raise ValueError(
+                "ImproveOptions.scope='damage' and remesh.split_boundary exclude each other: the boundary of what is "
+                "worked on stays as it is"
             )
         if self.relocate not in ("auto", True, False):
             raise ValueError(f"ImproveOptions.relocate must be 'auto', True or False, not {self.relocate!r}")
@@ -210,7 +256,7 @@ class ImproveOptions:
     def local(self) -> bool:
         """Whether a large mesh that is good but for a small tangle may be worked on only round the tangle."""
         usual = self.method == "default" and self.separable and not self.slides
-        return self.excerpts and usual and self.remesh.sizes == "boundary"
+        return self.local_repair is not None and usual and self.remesh.sizes == "boundary"
 
     @classmethod
     def fast(cls, **changes: Any) -> "ImproveOptions":

@@ -14,6 +14,7 @@ from ..mesh.regions import RegionAreas, region_areas
 from ..status import Status
 from ..untangling.untangling import check_reference
 from ..warping.femwarp import with_held
+from .damage import improve_damage
 from .forked import can_fork, in_processes, one_thread
 from .local_repair import on_submeshes
 from .options import ImproveOptions
@@ -71,8 +72,8 @@ def improve(
 
 def whole_job(options: ImproveOptions, workers: int) -> Job:
     """The strategy in the wrappers that the options ask for; a wrapper has no effect where it is not needed."""
-    job: Job = partial(improve_batch, options=options)
-    if options.local:
+    job: Job = partial(improve_damage if options.scope == "damage" else improve_batch, options=options)
+    if options.local and options.scope == "all":
         job = on_submeshes(job, options)
     return in_processes(job, workers) if workers > 1 else job
 

@@ -134,6 +134,10 @@ class Log:
         work = replace(work, kept=torch.full_like(work.kept, kept))
         self._write(name, state, at, seconds, Work(*(getattr(work, f.name)[at] for f in fields(work))))
 
+    def add(self, b: int, step: Step) -> None:
+        """Add a row about mesh `b`."""
+        self.steps[b].append(self._as_whole(b, step))
+
     def _write(self, name: str, state: State, at: Tensor, seconds: float, work: Work) -> None:
         """Write a row for each of the meshes `at`, of which `work` has a row each, and call the observer."""
         q = state.quality
@@ -143,7 +147,7 @@ class Log:
             at.nonzero().squeeze(1).tolist(), rows, strict=True
         ):
             step = Step(name, mean, worst, inverted, flips, iterations, seconds, cavities, kept)
-            self.steps[b].append(self._as_whole(b, step))
+            self.add(b, step)
         if self.observe is not None:
             self.observe(name, state.mesh)
 
