@@ -17,13 +17,14 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import corners_of, touching
+from ..mesh.means import Means
 from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segment_max, spread
-from ..optimising.median_metric import median_metric
+from ..optimising.median_metric import median_metric, usual_ratio
 from ..optimising.metric_field import MetricField
-from ..optimising.targets import Targets, metric_from, target_quality
+from ..optimising.targets import Targets, target_from, target_quality
 from ..status import Status
 from .options import Damage, ImproveOptions
-from .parts import Parts, PartsLog, paste
+from .parts import Parts, PartsLog, Pasted, paste
 from .runner import Log, Runner
 from .state import Edits, State
 from .strategies import certify, compare_sizes, improve_batch, tell_the_hopeless
@@ -42,12 +43,81 @@ def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
 
 
 @dataclass(frozen=True, eq=False)
+class Meant:
+    """The shapes that are meant.
+
+    targets    a metric, with one row a vertex or as a function of positions, or matrices (T, 2, 2) of triangles
+    usual      (V,) by how much the triangles nearby miss these shapes on the mean, as inverse mean ratios; None: what
+               is meant was asked for
+    reference  (T, 2, 2) the shapes of undeformed triangles, which count where the triangles are still the same
+    triangles  (T, 3) int64, these triangles; -1 for others
+    """
+
+    targets: Targets
+    usual: Tensor | None = None
+    reference: Tensor | None = None
+    triangles: Tensor | None = None
+
+    @classmethod
+    def of(cls, state: State) -> "Meant":
+        """Those of the targets, if there are any; else the local median, and the reference where there is one."""
+        if state.targets is not None:
+            targets = state.targets
+            if isinstance(targets, MetricField) and isinstance(targets.values, Tensor):
+                targets = MetricField(targets.at_vertices(state.mesh))
+            return cls(targets)
+        upright = state.quality.upright
+        median = median_metric(state.mesh, upright)
+        usual = usual_ratio(state.mesh, median, upright)
+        if state.reference is None:
+            return cls(MetricField(median), usual)
+        return cls(MetricField(median), usual, target_from(state.reference), state.reference.triangles)
+
+    @property
+    def of_vertices(self) -> Tensor | None:
+        """(V, 3) the metric that moves with the vertices; None: there is none."""
+        metric = self.targets.values if isinstance(self.targets, MetricField) else None
+        return metric if isinstance(metric, Tensor) else None
+
+    def ratio(self, mesh: MeshBatch) -> Tensor:
+        """(T,) the inverse mean ratios of the triangles as the shapes meant see them, over what is usual nearby."""
+        ratio = target_quality(mesh, self.targets)
+        if self.usual is not None:
+            ratio = ratio / Means(mesh).of_corners(self.usual)
+        if self.reference is None or self.triangles is None or self.triangles.shape != mesh.triangles.shape:
+            return ratio
+        same = (mesh.triangles == self.triangles).all(1)
+        return torch.where(same, target_quality(mesh, self.reference), ratio)
+
+    def narrowed(self, parts: Parts) -> "Meant":
+        """The same for the parts as they were cut out."""
+        if isinstance(self.targets, Tensor):
+            return Meant(self.targets[parts.triangles])
+        usual = None if self.usual is None else self.usual[parts.vertices]
+        targets = self.targets if self.of_vertices is None else MetricField(self.of_vertices[parts.vertices])
+        if self.reference is None or self.triangles is None or len(self.triangles) != len(parts.batch.triangles):
+            return Meant(targets, usual)
+        same = (parts.batch.triangles == self.triangles).all(1)[parts.triangles]
+        triangles = torch.where(same[:, None], parts.mesh.triangles, -1)
+        return Meant(targets, usual, self.reference[parts.triangles], triangles)
+
+    def pasted(self, made: Pasted, there: "Meant", rows: Tensor) -> "Meant":
+        """The same for other vertices; inserted ones have what is meant `there`, in the rows (V',) bool of the parts."""
+        assert self.of_vertices is not None
+        assert there.of_vertices is not None
+        metric = MetricField(made.by_vertex(self.of_vertices, there.of_vertices[rows]))
+        if self.usual is None or there.usual is None:
+            return Meant(metric)
+        return Meant(metric, made.by_vertex(self.usual, there.usual[rows]))
+
+
+@dataclass(frozen=True, eq=False)
 class Mending:
     """A state whose damage is being mended.
 
     state      the meshes as they are now
     options    of the whole job
-    meant      the shapes that are meant: a metric at each vertex, or matrices of triangles that stay
+    meant      the shapes that are meant
     sizes      (V,) the edge lengths that were asked for by vertex, or None
     slides     (V,) bool, the vertices that may slide; None: none may
     level      (T,) int64, in how many parts the triangle has been tried in vain
@@ -57,7 +127,7 @@ class Mending:
 
     state: State
     options: ImproveOptions
-    meant: Targets
+    meant: Meant
     sizes: Tensor | None
     slides: Tensor | None
     level: Tensor
@@ -71,7 +141,7 @@ class Mending:
         asked = state.origin.sizes
         sizes = None if asked is None else state.of_given_vertices(asked)
         slides = None if state.curves is None else state.curves.may_slide(state.mesh.point_offsets)
-        return cls(state, options, meant_shapes(state), sizes, slides, none.long(), none, none.clone())
+        return cls(state, options, Meant.of(state), sizes, slides, none.long(), none, none.clone())
 
     def next_parts(self) -> tuple[Parts, Tensor, "How"] | None:
         """Parts to work on in the same way, (P,) how often they have grown, and that way; None: there are none left."""
@@ -99,21 +169,16 @@ class Mending:
 
     def after(self, parts: Parts, level: Tensor, after: State) -> "Mending":
         """What has been mended once the `parts` have become `after`; `level` (P,) is how often they had grown."""
-        o = self.options.damage
+        o, upright = self.options.damage, self.state.quality.upright
         bad = damaged(self.state, self.meant, o)
-        before = parts.of_triangles(bad & self.state.quality.upright), parts.of_triangles(~self.state.quality.upright)
-        ratio = target_quality(after.mesh, self.meant_in(parts, after))
-        worse = (ratio > o.worse) & after.quality.upright
-        offsets = after.mesh.triangle_offsets
-        poor, inverted = segment_count(worse, offsets), after.quality.inverted
-        highest = segment_max(torch.where(worse, ratio, 1.0), offsets)
-        was = torch.where(bad, target_quality(self.state.mesh, self.meant), 1.0)[parts.triangles]
-        rounder = (poor < before[0]) | ((poor == before[0]) & (highest < segment_max(was, parts.mesh.triangle_offsets)))
+        poor, inverted = parts.of_triangles(bad & upright), parts.of_triangles(~upright)
+        still = damaged(after, self._meant_in(parts, after), o) & after.quality.upright
+        left = segment_count(still, after.mesh.triangle_offsets)
         fits = ~parts.clash(after)
-        sound = fits & (inverted == 0) & after.certified
-        better = (sound & ((before[1] > 0) | rounder)) | (fits & parts.whole & (inverted < before[1]))
-        # For its shapes alone a part does not grow far.
-        open_ = (~sound | ((poor > 0) & (level < o.growths_for_shapes))) & ~parts.whole
+        sound = fits & after.valid & after.certified
+        # What was valid changes only if fewer triangles are bad, since the boundary may force some to be so.
+        better = (sound & ((inverted > 0) | (left < poor))) | (fits & parts.whole & (after.quality.inverted < inverted))
+        open_ = (~sound | ((left > 0) & (level < o.growths_for_shapes))) & ~parts.whole
         mending = self
         if not bool(better.all()):
             vain = spread(~better, parts.mesh.triangle_offsets)
@@ -151,13 +216,9 @@ class Mending:
         meant, sizes, slides, targets = self.meant, self.sizes, self.slides, state.targets
         if made.names is not None:
             assert part.names is not None
-            if isinstance(meant, MetricField) and isinstance(meant.values, Tensor):
-                there = self.meant_in(parts, after)
-                assert isinstance(there, MetricField)
-                here = there.at_vertices(after.mesh)[spread(at, after.mesh.point_offsets)]
-                meant = MetricField(made.by_vertex(meant.values, here))
-            if isinstance(targets, MetricField) and isinstance(targets.values, Tensor):
-                targets = meant
+            if meant.of_vertices is not None:
+                meant = meant.pasted(made, self._meant_in(parts, after), spread(at, after.mesh.point_offsets))
+                targets = None if targets is None else meant.targets
             if sizes is not None:
                 inherited = after.vertex_names.vertex_map().carry(sizes[parts.vertices])
                 sizes = made.by_vertex(sizes, inherited[spread(at, after.mesh.point_offsets)])
@@ -175,17 +236,14 @@ class Mending:
             made.by_triangle(self.touched, torch.ones_like(more)),
         )
 
-    def meant_in(self, parts: Parts, after: State | None = None) -> Targets:
-        """The shapes that are meant in the parts, as they were cut out, or as they are in `after`."""
-        meant = self.meant
-        if isinstance(meant, Tensor):
-            return meant[parts.triangles]
-        if not isinstance(meant.values, Tensor):
+    def _meant_in(self, parts: Parts, after: State) -> "Meant":
+        """The shapes that are meant in the parts, as they are in `after`."""
+        meant = self.meant.narrowed(parts)
+        if after.names is None or not isinstance(meant.of_vertices, Tensor):
             return meant
-        values = meant.values[parts.vertices]
-        if after is not None and after.names is not None:
-            values = after.vertex_names.vertex_map().carry(values)
-        return MetricField(values)
+        onward = after.vertex_names.vertex_map()
+        usual = None if meant.usual is None else onward.carry(meant.usual)
+        return Meant(MetricField(onward.carry(meant.of_vertices)), usual)
 
 
 @dataclass(frozen=True)
@@ -203,11 +261,9 @@ class How:
     def of(cls, mending: Mending, parts: Parts) -> list["How"]:
         """How each of the parts is to be worked on."""
         state, offsets = mending.state, parts.mesh.triangle_offsets
-        aimed = state.targets is not None or state.origin.reference is not None
         stretched = torch.zeros_like(parts.whole)
-        if not aimed and mending.options.method == "default":
-            assert isinstance(mending.meant, MetricField)
-            metric = mending.meant.at_vertices(state.mesh)
+        metric = mending.meant.of_vertices
+        if state.targets is None and metric is not None and mending.options.method == "default":
             long = (0.5 * (metric[:, 0] + metric[:, 2]) > mending.options.damage.stretched)[parts.vertices]
             stretched = 2 * segment_count(long, parts.mesh.point_offsets) > counts_from_offsets(
                 parts.mesh.point_offsets
@@ -220,18 +276,9 @@ class How:
         return [cls(*pair) for pair in zip(stretched.tolist(), referred.tolist(), strict=True)]
 
 
-def meant_shapes(state: State) -> Targets:
-    """The shapes that are meant in the meshes: those of targets or of a reference, or else the local median shape."""
-    if state.targets is not None:
-        return state.targets
-    if state.reference is not None:
-        return metric_from(state.reference, state.mesh)
-    return MetricField(median_metric(state.mesh, state.quality.upright))
-
-
-def damaged(state: State, meant: Targets, options: Damage) -> Tensor:
+def damaged(state: State, meant: Meant, options: Damage) -> Tensor:
     """(T,) bool: the triangles that are inverted, or much worse than the shape that is meant at their place."""
-    return ~state.quality.upright | (target_quality(state.mesh, meant) > options.worse)
+    return ~state.quality.upright | (meant.ratio(state.mesh) > options.worse)
 
 
 def _worked_on(mending: Mending, parts: Parts, how: How, log: Log) -> State:
@@ -254,7 +301,7 @@ def _worked_on(mending: Mending, parts: Parts, how: How, log: Log) -> State:
 def _options_for(mending: Mending, parts: Parts, how: How) -> ImproveOptions:
     """The options for the parts as meshes of their own."""
     options, state = mending.options, mending.state
-    aim = mending.meant_in(parts) if how.stretched or state.targets is not None else None
+    aim = mending.meant.narrowed(parts).targets if how.stretched or state.targets is not None else None
     reference = None
     if how.referred:
         assert state.reference is not None

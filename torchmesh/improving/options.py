@@ -83,19 +83,20 @@ class Damage:
     """What scope "damage" takes for damage, and how far it reaches round it; ratios are inverse mean ratios.
 
     worse       a triangle with a higher ratio, as the shape that is meant at its place sees it, is damage, as inverted
-                ones are: in remeshing, too, no triangle may come out worse than 3
+                ones are.  Where the shape meant is the median of those around, the ratio is over the mean of theirs.
+                In remeshing, too, no triangle may come out worse than 3
     stretched   where the shape meant has a higher ratio for most of a part, it is the aim: 1.25 is two to one
     rings       rings of vertices round the damage that may move at first, the corners of damaged triangles among them
     growth      how many times as many may move after a part could not be mended, up to the whole mesh
     growths_for_shapes  a part that is valid grows so often at most, so that triangles which the boundary forces to be
-                bad do not set the whole mesh in motion
+                bad do not set much of the mesh in motion
     """
 
     worse: float = 3.0
     stretched: float = 1.25
     rings: int = 2
     growth: float = 2.0
-    growths_for_shapes: int = 2
+    growths_for_shapes: int = 1
 
     def __post_init__(self) -> None:
         for name in ("worse", "stretched", "growth"):

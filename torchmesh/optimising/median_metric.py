@@ -67,6 +67,20 @@ def median_metric(batch: MeshBatch, counted: Tensor, options: MedianOptions | No
     return found
 
 
+def usual_ratio(batch: MeshBatch, metric: Tensor, counted: Tensor, options: MedianOptions | None = None) -> Tensor:
+    """(V,) the local mean of the inverse mean ratios of triangles, as the metric (V, 3) of determinant 1 sees them.
+
+    counted  (T,) bool, the triangles that count; where none is near, the mean is 1
+    """
+    sweeps, means = (options or MedianOptions()).sweeps, Means(batch)
+    own = triangle_metrics(batch)
+    counted = counted & own.isfinite().all(1)
+    own = torch.where(counted[:, None], own, own.new_tensor([1.0, 0.0, 1.0]))
+    ratio = torch.where(counted, ratio_in(own, _at_triangles(means, metric)), 0.0)
+    total, weight = (_diffused(means, column, sweeps) for column in (ratio, counted.to(ratio.dtype)))
+    return torch.where(weight > 0, total / torch.where(weight > 0, weight, 1.0), 1.0)
+
+
 def triangle_metrics(batch: MeshBatch) -> Tensor:
     """(T, 3) the metrics of determinant 1 in which the triangles are equilateral; not finite for flat ones."""
     a, b, c = batch.points.to(torch.float64)[batch.triangles].unbind(1)
@@ -85,13 +99,15 @@ def ratio_in(metric: Tensor, seen_by: Tensor) -> Tensor:
 
 def _spread(means: Means, values: Tensor, sweeps: int) -> Tensor:
     """(V, 3) the values (T, 3) summed over the triangles round each vertex and beyond, scaled to determinant 1."""
-    columns = []
-    for column in values.unbind(1):
-        at_vertices = means.round_vertices(column.contiguous())
-        for _ in range(sweeps - 1):
-            at_vertices = means.round_vertices(means.of_corners(at_vertices))
-        columns.append(at_vertices)
-    return _unit(torch.stack(columns, 1))
+    return _unit(torch.stack([_diffused(means, column.contiguous(), sweeps) for column in values.unbind(1)], 1))
+
+
+def _diffused(means: Means, values: Tensor, sweeps: int) -> Tensor:
+    """(V,) means of the values (T,) over the triangles round each vertex, taken so many times."""
+    at_vertices = means.round_vertices(values)
+    for _ in range(sweeps - 1):
+        at_vertices = means.round_vertices(means.of_corners(at_vertices))
+    return at_vertices
 
 
 def _at_triangles(means: Means, metric: Tensor) -> Tensor:
