@@ -247,3 +247,17 @@ def test_interfaces_may_move_and_the_areas_are_told(tmp_path):
     after = meshio.read(tmp_path / "out.vtu")
     assert inverted(tmp_path / "out.vtu") == 0
     assert sorted(after.cell_data["region"][0]) == sorted(tags)
+
+
+def test_scope_damage_leaves_the_rest_to_the_bit(tmp_path):
+    base = meshes.disturbed(meshes.equilateral(30, 25), 0.08, 0)
+    thrown = meshes.disturbed(base, 1.0, 1).points
+    near = (base.points - 10.0).norm(dim=1) < 1.8
+    points = np.pad(np.where(near.numpy()[:, None], thrown, base.points) * [4.0, 1.0], ((0, 0), (0, 1)))
+    meshio.Mesh(points, [("triangle", base.triangles.numpy())]).write(tmp_path / "in.vtu")
+    assert inverted(tmp_path / "in.vtu") > 3
+    done = process("improve", "in.vtu", "out.vtu", "--scope", "damage", "--report", "r.json", folder=tmp_path)
+    assert (done.status, done.err) == (0, "")
+    moved = (meshio.read(tmp_path / "out.vtu").points != points).any(1)
+    assert 0 < moved.sum() <= len(points) / 8
+    assert json.loads((tmp_path / "r.json").read_text())["scope"] == "damage"

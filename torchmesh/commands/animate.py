@@ -19,6 +19,8 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    Scope,
+    ScopeOption,
     TitleOption,
     Topology,
     TopologyOption,
@@ -37,6 +39,7 @@ def animate(
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
+    scope: ScopeOption = Scope.all,
     beta: BetaOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -51,7 +54,7 @@ def animate(
     from ..pictures.films import animate as write_film
     from ..pictures.films import check_film_path
 
-    options = improve_options(method, topology, beta, boundary, interfaces)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope)
     check_distinct(source, film)
     check_film_path(film)
     observed = observe(open_mesh(source), options, quiet)

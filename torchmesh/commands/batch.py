@@ -24,6 +24,8 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    Scope,
+    ScopeOption,
     StrictOption,
     Topology,
     TopologyOption,
@@ -84,6 +86,7 @@ def batch(
     beta: BetaOption = None,
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
+    scope: ScopeOption = Scope.all,
     fields: FieldsOption = Fields.interpolate,
     suffix: Annotated[
         str | None,
@@ -107,7 +110,7 @@ def batch(
     """
     from ..batches.runs import BUDGET, Run
 
-    options = improve_options(method, topology, beta, boundary, interfaces)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope)
     try:
         run = Run.plan(
             sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value

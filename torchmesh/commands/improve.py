@@ -22,6 +22,8 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    Scope,
+    ScopeOption,
     StrictOption,
     ThreadsOption,
     Topology,
@@ -41,6 +43,7 @@ EXAMPLES = (
     "torchmesh improve tangled.msh better.vtu --plot picture.png --report report.json",
     "torchmesh improve tangled.vtk better.vtk --topology keep",
     "torchmesh improve tangled.vtk better.vtk --boundary slide",
+    "torchmesh improve stretched.vtu better.vtu --scope damage",
     "torchmesh improve regions.msh better.msh --interfaces free",
     "torchmesh improve moved.vtu better.vtu --fields carry",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
@@ -60,6 +63,7 @@ def improve(
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
+    scope: ScopeOption = Scope.all,
     beta: BetaOption = None,
     fields: FieldsOption = Fields.interpolate,
     report: Annotated[
@@ -87,7 +91,7 @@ def improve(
     """
     from ..batches.file_improvement import improve_series, open_mesh
 
-    options = improve_options(method, topology, beta, boundary, interfaces)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope)
     _check_targets(source, target, report, plot)
     use_threads(threads)
 
@@ -111,6 +115,7 @@ def improve(
             "topology": topology.value,
             "boundary": boundary.value,
             "interfaces": options.at_interfaces,
+            "scope": scope.value,
             "beta": beta,
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,

@@ -20,6 +20,8 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    Scope,
+    ScopeOption,
     TitleOption,
     Topology,
     TopologyOption,
@@ -58,6 +60,7 @@ def report(
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
+    scope: ScopeOption = Scope.all,
     beta: BetaOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -74,7 +77,7 @@ def report(
     from ..mesh.measure import quality
     from ..pictures.page import report_page
 
-    options = improve_options(method, topology, beta, boundary, interfaces)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a page's name ends in .html")
     check_distinct(source, target, page)

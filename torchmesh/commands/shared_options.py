@@ -51,6 +51,13 @@ class Boundary(str, Enum):
     slide = "slide"
 
 
+class Scope(str, Enum):
+    """What of a mesh may be improved."""
+
+    all = "all"
+    damage = "damage"
+
+
 class InterfaceChoice(str, Enum):
     """Whether vertices on the interfaces between regions may move."""
 
@@ -92,6 +99,16 @@ BoundaryOption = Annotated[
         "more than 40 degrees) stay, and so do vertices of quads, vertices between boundary lines of different tags, "
         "and those that the point field 'fixed' marks, unless it marks the whole boundary. Curves keep their shape and "
         "the areas on both sides."
+    ),
+]
+
+
+ScopeOption = Annotated[
+    Scope,
+    typer.Option(
+        help="Improve every triangle, or only those that are inverted or much worse than the triangles around them, "
+        "and as much round these as mending takes? With damage, all else keeps its bits, and a mesh that is stretched "
+        "throughout stays so."
     ),
 ]
 
@@ -150,6 +167,7 @@ def improve_options(
     beta: float | None,
     boundary: Boundary = Boundary.fixed,
     interfaces: InterfaceChoice | None = None,
+    scope: Scope = Scope.all,
 ) -> "ImproveOptions":
     """The options of `improve` that the options of a command stand for; raises UsageError."""
     from ..improving.options import ImproveOptions
@@ -162,6 +180,7 @@ def improve_options(
         "topology": topology.value,
         "boundary": boundary.value,
         "interfaces": None if interfaces is None else interfaces.value,
+        "scope": scope.value,
     }
     try:
         if method is Method.paper:

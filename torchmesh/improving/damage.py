@@ -102,7 +102,7 @@ class Meant:
         return Meant(targets, usual, self.reference[parts.triangles], triangles)
 
     def pasted(self, made: Pasted, there: "Meant", rows: Tensor) -> "Meant":
-        """The same for other vertices; inserted ones have what is meant `there`, in the rows (V',) bool of the parts."""
+        """The same for other vertices; for inserted ones what is meant `there`, in the rows (V',) bool of parts."""
         assert self.of_vertices is not None
         assert there.of_vertices is not None
         metric = MetricField(made.by_vertex(self.of_vertices, there.of_vertices[rows]))
@@ -178,7 +178,9 @@ class Mending:
         sound = fits & after.valid & after.certified
         # What was valid changes only if fewer triangles are bad, since the boundary may force some to be so.
         better = (sound & ((inverted > 0) | (left < poor))) | (fits & parts.whole & (after.quality.inverted < inverted))
-        open_ = (~sound | ((left > 0) & (level < o.growths_for_shapes))) & ~parts.whole
+        # For its shapes alone a part grows on only where that has helped.
+        hopeful = (level < o.growths_for_shapes) | (better & (left < poor))
+        open_ = (~sound | ((left > 0) & hopeful)) & ~parts.whole
         mending = self
         if not bool(better.all()):
             vain = spread(~better, parts.mesh.triangle_offsets)

@@ -88,8 +88,8 @@ class Damage:
     stretched   where the shape meant has a higher ratio for most of a part, it is the aim: 1.25 is two to one
     rings       rings of vertices round the damage that may move at first, the corners of damaged triangles among them
     growth      how many times as many may move after a part could not be mended, up to the whole mesh
-    growths_for_shapes  a part that is valid grows so often at most, so that triangles which the boundary forces to be
-                bad do not set much of the mesh in motion
+    growths_for_shapes  a part that is valid grows so often, and then only while fewer of its triangles are bad each
+                time, so that triangles which the boundary forces to be bad do not set much of the mesh in motion
     """
 
     worse: float = 3.0
