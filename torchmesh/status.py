@@ -15,6 +15,7 @@ class Status(enum.IntEnum):
     INVERTED = 6
     NOT_FINITE = 7
     INFEASIBLE = 8
+    FAILED = 9
 
     @property
     def message(self) -> str:
@@ -29,6 +30,7 @@ _MESSAGES = {
     Status.STALLED: "stalled: no further step lowers the energy or the number of inverted triangles",
     Status.ITERATION_LIMIT: "stopped at the limit of iterations; raise it to go on",
     Status.INVERTED: "refused: the mesh has inverted triangles; untangle it first",
-    Status.NOT_FINITE: "refused: the energy of the start is not a finite number",
+    Status.NOT_FINITE: "refused: a position, or the energy of the start, is not a finite number to compute with",
     Status.INFEASIBLE: "impossible: the boundary or the constraints admit no valid mesh",
+    Status.FAILED: "an error inside a stage; the mesh is as the other stages left it",
 }

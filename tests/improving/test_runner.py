@@ -1,11 +1,12 @@
 """The runner hands a stage the meshes that take it, and its log is all that changes."""
 
 import meshes
+import pytest
 import torch
 
 from torchmesh import ImproveOptions, join
 from torchmesh.flipping.delaunay import FlipOptions
-from torchmesh.improving.runner import Log, Runner, Work
+from torchmesh.improving.runner import Log, Runner, Work, what_failed
 from torchmesh.improving.stages import attempt, average, flip
 from torchmesh.improving.state import State
 
@@ -80,3 +81,54 @@ def test_progress_is_told_before_a_stage_and_within_a_minimisation():
     assert [p.iteration for p in told] == [0, 0, 10, 20]
     assert told[0].meshes == 2
     assert told[-1].energy == 3.0
+
+
+def test_an_error_inside_a_stage_touches_the_guilty_mesh_only():
+    batch = join([meshes.jittered(seed=s) for s in (3, 0, 4, 1, 5)])
+    state, log = State.of(batch, ImproveOptions()), Log(5)
+    marked = state.given.split()[3].points
+
+    def fails(part, monitor):
+        if any(torch.equal(mesh.points, marked) for mesh in part.mesh.split()):
+            raise ZeroDivisionError("on\n  purpose")
+        return shift(1.0)(part, monitor)
+
+    run, every = Runner(log), torch.ones(5, dtype=torch.bool)
+    after, work = run("shift", fails, state, every)
+    expected, _ = Runner(Log(5))("shift", shift(1.0), state, every)
+    for b, (mesh, wanted, given) in enumerate(
+        zip(after.mesh.split(), expected.mesh.split(), batch.split(), strict=True)
+    ):
+        assert torch.equal(mesh.points, given.points if b == 3 else wanted.points)
+    assert work.took.tolist() == [True, True, True, False, True]
+    assert work.flips.tolist() == [7, 7, 7, 0, 7]
+    assert [s.kept for steps in log.steps for s in steps] == [True, True, True, False, True]
+    assert after.failures[3] == (("shift", "ZeroDivisionError: on purpose"),)
+    assert after.has_failed_in("shift").tolist() == [False, False, False, True, False]
+    # It does not take the stage again, but others.
+    again, work = run("shift", fails, after, every)
+    assert work.took.tolist() == [True, True, True, False, True]
+    _, work = run("other", shift(1.0), again, every)
+    assert work.took.all()
+    # What failed is kept through selections.
+    assert again.select(torch.tensor([False, False, False, True, True])).failures == (after.failures[3], ())
+
+
+def test_an_error_of_the_watcher_is_passed_on():
+    def told(progress):
+        if progress.iteration:
+            raise KeyError("stop")
+
+    def stage(state, monitor):
+        monitor(10, torch.ones(3))
+        raise AssertionError("the watcher did not stop it")
+
+    state = states()
+    with pytest.raises(KeyError, match="stop"):
+        Runner(Log(3, told))("smooth", stage, state, torch.ones(3, dtype=torch.bool))
+
+
+def test_errors_are_told_in_one_short_line():
+    assert what_failed(ValueError("a\nb")) == "ValueError: a b"
+    assert what_failed(ValueError()) == "ValueError"
+    assert len(what_failed(ValueError("x" * 500))) == 200

@@ -5,12 +5,16 @@ With the triangles kept: can any positions of the free vertices make them valid?
 
 import itertools
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, holding
+from ..mesh.unfit import unfit_meshes, what_is_unfit
 from .meetings import crossings, duplicates, overlaps, wrong_touchings
 from .nesting import nestings
 from .polygon_kernel import inverted_fixed_triangles, vertices_without_kernel
@@ -22,6 +26,7 @@ from .walls import HELD, Walls
 _MANY = 50_000
 
 
+@without_autograd
 def diagnose(
     batch: MeshBatch,
     topology: Literal["keep", "flip"] = "flip",
@@ -49,6 +54,9 @@ def diagnose(
     """
     if topology not in ("keep", "flip"):
         raise ValueError(f"topology must be 'keep' or 'flip', not {topology!r}")
+    unfit = unfit_meshes(batch)
+    if bool(unfit.any()):
+        return _without_unfit(batch, unfit, topology, most, interfaces)
     batch = holding(batch, interfaces)
     # First all meshes at once, as pieces of one; each is looked at alone only if something was found.
     if len(batch) > 1 and not _of_one(batch, topology == "keep", most):
@@ -61,6 +69,26 @@ def diagnose(
             if told[kind] <= most:
                 problems.append(Problem(kind, text, b, vertices, place))
     return problems
+
+
+def _without_unfit(
+    batch: MeshBatch,
+    unfit: Tensor,
+    topology: Literal["keep", "flip"],
+    most: int,
+    interfaces: Interfaces | None,
+) -> list[Problem]:
+    """The problems where the meshes `unfit` (B,) bool have positions that one cannot compute with."""
+    problems = []
+    for b in unfit.nonzero().squeeze(1).tolist():
+        text, row = what_is_unfit(batch, b)
+        x, y = batch.points[int(batch.point_offsets[b]) + row].tolist()
+        problems.append(Problem(ProblemKind.NOT_FINITE, text, b, (row,), (x, y)))
+    if not bool(unfit.all()):
+        meshes = (~unfit).nonzero().squeeze(1).tolist()
+        found = diagnose(batch.select(~unfit), topology, most, interfaces=interfaces)
+        problems += [replace(problem, mesh=meshes[problem.mesh]) for problem in found]
+    return sorted(problems, key=lambda problem: problem.mesh)
 
 
 def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[Finding]:

@@ -10,6 +10,7 @@ import numpy as np
 class ProblemKind(str, Enum):
     """What is wrong; the value says it in words."""
 
+    NOT_FINITE = "a position is no finite number to compute with"
     DUPLICATE_VERTICES = "two fixed vertices in one place"
     BOUNDARY_CROSSING = "the boundary meets itself"
     CONSTRAINT_CROSSING = "a constrained edge meets another or the boundary"

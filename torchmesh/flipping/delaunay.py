@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch, constrained_half_edges
+from ..mesh.detached import without_autograd
 from ..mesh.ragged import owner_of, spread
+from ..mesh.unfit import unfit_meshes
 from ..mesh.units import centre_and_unit
 from ..optimising.metric_field import MetricField
 from .metric_rule import MetricRule
@@ -57,6 +59,7 @@ class FlipInfo:
     flips: Tensor
 
 
+@without_autograd
 def flip_to_delaunay(
     batch: MeshBatch,
     options: FlipOptions | None = None,
@@ -67,19 +70,24 @@ def flip_to_delaunay(
     """Flip edges until every interior, unconstrained edge between upright triangles is Delaunay.
 
     Whether an edge is Delaunay is decided by exact in-circle signs.  Edges whose four points lie on one circle are
-    not flipped.  Vertices, boundary edges and constrained edges stay, and so does the number of triangles.
+    not flipped.  Vertices, boundary edges and constrained edges stay, and so does the number of triangles.  A mesh with
+    a position that is not finite, or beyond 1e150, comes back as it is.
 
     around  (T,) bool: start from the edges of these triangles only
     metric  flip towards triangles that are equilateral in this metric; replaces the rule of the options
     """
     options = options or FlipOptions()
+    constrained = constrained_half_edges(batch)
+    unfit = unfit_meshes(batch)
+    if bool(unfit.any()):
+        constrained = constrained | spread(unfit, 3 * batch.triangle_offsets)
     # A power of two changes no sign and keeps every product of the rules in range.
     unit = centre_and_unit(batch.points, batch.point_offsets)[1]
     triangles, twin, log = flip_rounds(
         batch.points.to(torch.float64) / spread(unit, batch.point_offsets)[:, None],
         batch.triangles,
         batch.twin,
-        constrained_half_edges(batch),
+        constrained,
         _RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
         once=options.once,
         max_rounds=options.max_rounds,

@@ -18,6 +18,7 @@ from torch import Tensor
 from ..diagnosing.diagnosis import diagnose
 from ..errors import ConvergenceError
 from ..mesh.batch import MeshBatch, put
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import released
 from ..mesh.ragged import spread
 from ..status import Status
@@ -83,6 +84,7 @@ class DeformReport:
         ]
 
 
+@without_autograd
 def deform(
     batch: MeshBatch,
     new_points: Tensor,

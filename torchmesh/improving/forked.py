@@ -113,6 +113,7 @@ class Shard:
     notes: tuple[str, ...]
     certified: Tensor
     conformity: SizeConformity | None
+    failures: tuple[tuple[tuple[str, str], ...], ...]
     steps: list[list[Step]]
 
     @classmethod
@@ -120,7 +121,7 @@ class Shard:
         """The shard with a finished state and its log."""
         return cls(
             state.mesh.points, state.mesh.triangles, state.quality, state.status, state.reasons, state.notes,
-            state.certified, state.conformity, log.steps,
+            state.certified, state.conformity, state.failures, log.steps,
         )  # fmt: skip
 
     @staticmethod
@@ -138,6 +139,7 @@ class Shard:
             notes=tuple(text for s in shards for text in s.notes),
             certified=torch.cat([s.certified for s in shards]),
             conformity=_joined_conformity(shards),
+            failures=tuple(failures for s in shards for failures in s.failures),
         )
 
 

@@ -106,6 +106,7 @@ class Submeshes:
             reasons=part.reasons,
             notes=part.notes,
             certified=part.certified,
+            failures=part.failures,
         ).noted(notes)
 
     def step_of_whole(self, b: int, step: Step) -> Step:

@@ -1,16 +1,23 @@
 """`improve`: the strategy on a batch, on submeshes of large meshes, or in several processes, and the report."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from ..mesh.batch import MeshBatch
+from ..mesh.batch import MeshBatch, check_rows
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import interface_vertices, released
+from ..mesh.measure import quality
 from ..mesh.ragged import segment_count
 from ..mesh.regions import RegionAreas, region_areas
+from ..mesh.unfit import on_a_line, unfit_meshes, what_is_unfit
+from ..mesh.validation import fit_positions
+from ..optimising.targets import as_targets, check_fit
+from ..remeshing.sizing import size_field
 from ..status import Status
 from ..untangling.untangling import check_reference
 from ..warping.femwarp import with_held
@@ -28,6 +35,7 @@ if TYPE_CHECKING:
     from ..remeshing.remeshing import RemeshInfo
 
 
+@without_autograd
 def improve(
     batch: MeshBatch,
     options: ImproveOptions | None = None,
@@ -51,9 +59,16 @@ def improve(
 
     A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress` is then
     called once for each shard.
-    Raises InvalidMeshError when `options.reference` is not a valid mesh of the same triangles.
+
+    A mesh with a position that is not finite, or beyond 1e150, comes back as it is, with `Status.NOT_FINITE`.  An error
+    inside a stage touches one mesh only, which goes on with the other stages and ends with `Status.FAILED`; the message
+    names the stage and the error, and `report.valid` says whether the mesh is valid all the same.
+
+    Raises InvalidMeshError when rows of the batch are out of range, when `options.reference` is not a valid mesh of the
+    same triangles, and when sizes or targets do not fit the batch.
     """
     options = options or ImproveOptions()
+    check_rows(batch)
     if options.reference is not None:
         check_reference(batch, options.reference)
     workers = options.workers or torch.get_num_threads()
@@ -63,11 +78,36 @@ def improve(
     if hold is not None and options.at_interfaces == "free":
         batch = with_held(batch, hold & interface_vertices(batch))
     with one_thread():
-        state = State.of(batch, options, hold)
+        unfit = unfit_meshes(batch)
+        work, elsewhere = (batch, None) if bool(fit_positions(batch.points).all()) else on_a_line(batch, unfit)
+        _check_options(work, options)
+        state = State.of(work, options, hold).ended(unfit, Status.NOT_FINITE)
+        state = state.explained({b: what_is_unfit(batch, b)[0] for b in unfit.nonzero().squeeze(1).tolist()})
         log.mark("initial", state, torch.ones_like(state.valid))
         state = whole_job(options, workers if shared else 1)(state, log)
-    report = report_on(state, log, options)
-    return (state.mesh if batch is given else released(state.mesh, given, report.vertex_map)), report
+        report = report_on(state, log, options)
+        improved = state.mesh if batch is given else released(state.mesh, given, report.vertex_map)
+        if elsewhere is None:
+            return improved, report
+        improved = improved.with_points(_put_back(state, batch.points, elsewhere))
+        return improved, replace(report, quality=quality(improved))
+
+
+def _check_options(batch: MeshBatch, options: ImproveOptions) -> None:
+    """Raises as the stages would that read the options, which is at once and not mesh by mesh."""
+    if not isinstance(options.remesh.sizes, str):
+        size_field(batch, options.remesh.sizes)
+    targets = as_targets(options.smooth.targets)
+    if targets is not None:
+        check_fit(batch, targets)
+
+
+def _put_back(state: State, given: Tensor, rows: Tensor) -> Tensor:
+    """(V, 2) the points of a finished state, with the vertices `rows` (R,) of the batch where they were `given`."""
+    now = rows if state.names is None else state.names.vertex_map().old_to_new[rows]
+    points = state.mesh.points.clone()
+    points[now[now >= 0]] = given[rows[now >= 0]]
+    return points
 
 
 def whole_job(options: ImproveOptions, workers: int) -> Job:
@@ -125,8 +165,11 @@ def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
     """Why the work on mesh `b` ended."""
     status, reason = Status(int(state.status[b])), state.reasons[b]
     text = status.message
-    if status == Status.INFEASIBLE:
+    if status in (Status.INFEASIBLE, Status.NOT_FINITE):
         text = reason
+    elif status == Status.FAILED:
+        text = "; ".join(f"the stage {name} failed: {error}" for name, error in state.failures[b])
+        text = left_over(text, log.steps[b], not options.may_flip) if log.steps[b][-1].inverted else text
     elif status in (Status.STALLED, Status.ITERATION_LIMIT) and log.steps[b][-1].inverted:
         text = left_over(reason or text, log.steps[b], not options.may_flip)
         text += INTERFACES_HELD if _tangled_at_interface(b, state) else ""

@@ -4,6 +4,7 @@ A *stage* is a function from a state to another state.  It works on every mesh t
 The *runner* gives it the meshes that are to take it, puts the result back, and writes the log.
 """
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -15,6 +16,8 @@ from ..mesh.batch import MeshBatch
 from ..optimising.moves import Monitor
 from .report import Progress, Step
 from .state import State
+
+_log = logging.getLogger(__name__)
 
 # A minimisation reports its progress once in so many iterations.
 _ITERATIONS_BETWEEN_REPORTS = 10
@@ -59,6 +62,12 @@ class Work:
         sums = {name: getattr(self, name) + getattr(more, name) for name in ("flips", "iterations", "cavities")}
         return replace(self, **sums)
 
+    def put(self, at: Tensor, part: "Work") -> "Work":
+        """This work with that on the meshes `at` (B,) bool replaced by `part`."""
+        rows = at.nonzero().squeeze(1)
+        columns = {f.name: getattr(self, f.name).index_copy(0, rows, getattr(part, f.name)) for f in fields(self)}
+        return Work(**columns)
+
     def over(self, at: Tensor) -> "Work":
         """The same work as columns over the whole batch, of which the meshes `at` (B,) bool took the stage."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -90,6 +99,7 @@ class Log:
         self.progress, self.observe = progress, observe
         self._as_whole: Callable[[int, Step], Step] = lambda _, step: step
         self._started = 0.0
+        self._of_the_watcher: Exception | None = None
 
     def view(
         self,
@@ -120,9 +130,17 @@ class Log:
 
         def monitor(iteration: int, energy: Tensor) -> None:
             if iteration % _ITERATIONS_BETWEEN_REPORTS == 0:
-                report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
+                try:
+                    report(Progress(stage, meshes, inverted, iteration, float(energy.sum())))
+                except Exception as error:
+                    self._of_the_watcher = error
+                    raise
 
         return monitor
+
+    def is_of_the_watcher(self, error: Exception) -> bool:
+        """Was the error raised by whoever watches the progress?"""
+        return error is self._of_the_watcher
 
     def end(self, stage: str, state: State, at: Tensor, work: Work) -> None:
         """Note that the stage has ended with `state`; `work` has a row for each of the meshes `at`."""
@@ -157,16 +175,55 @@ Job = Callable[[State, Log], State]
 
 
 class Runner:
-    """Runs stages; its log is the only thing that changes."""
+    """Runs stages; its log is the only thing that changes.
+
+    An error inside a stage does not leave it.  The stage is then run on each half of its meshes, and so on down to
+    single ones, which brings out what the others become without the guilty one, to the bit.  That one stays as it was
+    before the stage, takes the stage no more, and goes on with the other stages; `State.failures` names the error.
+    Errors of whoever watches the progress are passed on.
+    """
 
     def __init__(self, log: Log) -> None:
         self.log = log
 
     def __call__(self, name: str, stage: Stage, state: State, at: Tensor) -> tuple[State, Work]:
         """The meshes `at` (B,) bool of `state` take the stage; the others stay as they are."""
+        at = at & ~state.has_failed_in(name)
         if not bool(at.any()):
             return state, Work.nothing(state)
-        part, work = stage(state.select(at), self.log.begin(name, state, at))
+        part, work = self._guarded(name, stage, state.select(at), self.log.begin(name, state, at))
         state = state.put(at, part)
         self.log.end(name, state, at, work)
         return state, work.over(at)
+
+    def quietly(self, name: str, stage: Callable[[State], State], state: State, at: Tensor) -> State:
+        """The same for what is no stage in the eyes of the caller: nothing is logged."""
+        at = at & ~state.has_failed_in(name)
+        if not bool(at.any()):
+            return state
+        part, _ = self._guarded(name, lambda part, _: (stage(part), Work.nothing(part)), state.select(at), None)
+        return state.put(at, part)
+
+    def _guarded(self, name: str, stage: Stage, state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        """The stage on all meshes of `state`, on which it may fail."""
+        try:
+            return stage(state, monitor)
+        except Exception as error:
+            if self.log.is_of_the_watcher(error):
+                raise
+            if len(state) == 1:
+                _log.info("stage %s", name, exc_info=True)
+                work = Work.nothing(state)
+                return state.failed(name, what_failed(error)), replace(work, kept=work.took)
+        work = Work.nothing(state)
+        first = torch.arange(len(state), device=state.meshes.device) < len(state) // 2
+        for half in (first, ~first):
+            part, done = self._guarded(name, stage, state.select(half), monitor)
+            state, work = state.put(half, part), work.put(half, done)
+        return state, work
+
+
+def what_failed(error: Exception) -> str:
+    """The type of an error and what it says, in one line of at most 200 characters."""
+    text = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+    return text if len(text) <= 200 else f"{text[:197]}..."

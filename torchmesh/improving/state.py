@@ -91,6 +91,7 @@ class State:
     status     (B,) int64 `Status`: RUNNING until it is known how the mesh ends
     reasons    for each mesh why it cannot be mended, as far as that is known, or ""
     notes      for each mesh what the report says besides, or ""
+    failures   for each mesh the stages that ended with an error, and the errors
     certified  (B,) bool, set at the end: the mesh is valid and its frame is the one given
     tethered   (B,) bool, the mesh came valid and nothing was asked for that takes vertices far
     curves     the curves along which vertices slide, and where they are on them; None: none slides
@@ -122,6 +123,11 @@ class State:
     conformity: SizeConformity | None = None
     names: Names | None = None
     edits: Edits | None = None
+    failures: tuple[tuple[tuple[str, str], ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.failures:
+            object.__setattr__(self, "failures", ((),) * len(self.meshes))
 
     @classmethod
     def of(
@@ -237,6 +243,15 @@ class State:
         """The state with something added to the notes of some meshes, by their row."""
         return replace(self, notes=tuple(old + notes.get(b, "") for b, old in enumerate(self.notes)))
 
+    def failed(self, stage: str, error: str) -> "State":
+        """The state where it is known that a stage ended with an error, in all meshes."""
+        return replace(self, failures=tuple((*old, (stage, error)) for old in self.failures))
+
+    def has_failed_in(self, stage: str) -> Tensor:
+        """(B,) bool: the stage ended with an error in the mesh."""
+        found = [any(name == stage for name, _ in failures) for failures in self.failures]
+        return torch.tensor(found, dtype=torch.bool, device=self.meshes.device)
+
     def select(self, at: Tensor) -> "State":
         """The meshes `at` (B,) bool, with their rows of everything."""
         if bool(at.all()):
@@ -266,6 +281,7 @@ class State:
             conformity=None if self.conformity is None else _select_columns(self.conformity, at),
             names=None if self.names is None else self.names.select(rows),
             edits=None if self.edits is None else self.edits.select(at),
+            failures=tuple(self.failures[b] for b in chosen),
         )
 
     def put(self, at: Tensor, part: "State") -> "State":
@@ -293,9 +309,10 @@ class State:
 
     def _with_rows_of_meshes(self, at: Tensor, part: "State") -> "State":
         """This state with what has one row a mesh taken from `part`."""
-        texts = {b: (part.reasons[i], part.notes[i]) for i, b in enumerate(at.nonzero().squeeze(1).tolist())}
-        kept = list(zip(self.reasons, self.notes, strict=True))
-        reasons, notes = zip(*(texts.get(b, old) for b, old in enumerate(kept)), strict=True)
+        found = zip(part.reasons, part.notes, part.failures, strict=True)
+        texts = dict(zip(at.nonzero().squeeze(1).tolist(), found, strict=True))
+        kept = zip(self.reasons, self.notes, self.failures, strict=True)
+        reasons, notes, failures = zip(*(texts.get(b, old) for b, old in enumerate(kept)), strict=True)
         return replace(
             self,
             status=_put_rows(self.status, at, part.status),
@@ -303,6 +320,7 @@ class State:
             conformity=_put_conformity(self, at, part),
             reasons=reasons,
             notes=notes,
+            failures=failures,
         )
 
     def _exchanged(self, at: Tensor, part: "State") -> "State":

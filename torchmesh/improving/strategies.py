@@ -150,20 +150,21 @@ class Stall:
 
 def tell_the_hopeless(state: State, run: Runner, o: ImproveOptions) -> State:
     """Meshes that no method can mend are told, before any work on them."""
-    at = state.tangled
-    if not bool(at.any()):
-        return state
-    meshes = at.nonzero().squeeze(1).tolist()
+    return run.quietly("diagnose", partial(_diagnosed, o=o), state, state.tangled)
+
+
+def _diagnosed(state: State, o: ImproveOptions) -> State:
+    """The tangled meshes of `state`, of which those that no method can mend have ended."""
     found: dict[int, list[str]] = {}
     may_change: Literal["keep", "flip"] = "flip" if o.may_flip else "keep"
-    mesh, interfaces = state.mesh.select(at), state.origin.interfaces
-    for problem in diagnose(mesh, may_change, interfaces=interfaces):
-        found.setdefault(meshes[problem.mesh], []).append(problem.message)
+    for problem in diagnose(state.mesh, may_change, interfaces=state.origin.interfaces):
+        found.setdefault(problem.mesh, []).append(problem.message)
     reasons = {}
     for b, texts in found.items():
         more = f"; and {len(texts) - 5} more of the kind" if len(texts) > 5 else ""
         reasons[b] = "; ".join(texts[:5]) + more
-    hopeless = torch.zeros_like(at).index_fill_(0, torch.tensor(list(found), dtype=torch.int64, device=at.device), True)
+    hopeless = torch.zeros_like(state.valid)
+    hopeless[torch.tensor(list(found), dtype=torch.int64, device=hopeless.device)] = True
     state = state.explained(reasons).ended(hopeless, Status.INFEASIBLE)
     return state.noted(dict.fromkeys(_stuck_by_interfaces(state, hopeless, may_change), INTERFACES_HELD))
 
@@ -348,26 +349,43 @@ def compare_sizes(state: State, run: Runner, o: ImproveOptions) -> State:
     if o.topology != "full" and state.sizes is None:
         return state
     if state.sizes is None or o.topology == "full":
-        # A mesh that was not remeshed has the sizes that it has.
-        there = size_field(state.mesh, "keep")
-        sizes = there if state.sizes is None else torch.where(state.sizes.isnan(), there, state.sizes)
-        state = replace(state, sizes=sizes)
-    part = state.select(state.valid)
-    assert part.sizes is not None
+        state = run.quietly("sizes", _with_own_sizes, state, torch.ones_like(state.valid))
+    state = run.quietly("sizes", partial(_compared, o=o), state, state.valid)
+    nothing = torch.full_like(state.quality.mean, torch.nan)
+    sizes = state.mesh.points.new_full((len(state.mesh.points),), torch.nan, dtype=torch.float64)
+    return replace(
+        state,
+        sizes=sizes if state.sizes is None else state.sizes,
+        conformity=state.conformity or SizeConformity(*(nothing for _ in fields(SizeConformity))),
+    )
+
+
+def _with_own_sizes(state: State) -> State:
+    """The state in which a mesh that was not remeshed has the sizes that it has."""
+    there = size_field(state.mesh, "keep")
+    return replace(state, sizes=there if state.sizes is None else torch.where(state.sizes.isnan(), there, state.sizes))
+
+
+def _compared(state: State, o: ImproveOptions) -> State:
+    """The valid meshes of `state` with how well their edges follow their sizes."""
+    assert state.sizes is not None
     asked = o.remesh.sizes
     by_vertex = o.topology == "full" or not (callable(asked) or (isinstance(asked, str) and asked == "uniform"))
-    wanted = part.sizes if by_vertex else asked
-    if isinstance(part.targets, MetricField):
-        found = metric_conformity(part.mesh, part.sizes, part.targets.at_vertices(part.mesh))
+    if isinstance(state.targets, MetricField):
+        found = metric_conformity(state.mesh, state.sizes, state.targets.at_vertices(state.mesh))
     else:
-        found = size_conformity(part.mesh, wanted)
-    nothing = torch.full_like(state.quality.mean, torch.nan)
-    columns = (nothing.masked_scatter(state.valid, getattr(found, f.name)) for f in fields(found))
-    return replace(state, conformity=SizeConformity(*columns))
+        found = size_conformity(state.mesh, state.sizes if by_vertex else asked)
+    return replace(state, conformity=found)
 
 
 def certify(state: State, run: Runner, o: ImproveOptions) -> State:
     """Say of every mesh whether it is valid and its frame is what it was, by signs and edges looked at anew."""
+    state = run.quietly("certify", _certified, state, torch.ones_like(state.valid))
+    failed = torch.tensor([bool(failures) for failures in state.failures], device=state.meshes.device)
+    return state.ended(failed, Status.FAILED)
+
+
+def _certified(state: State) -> State:
     names = None if state.names is None else state.names.vertex_map()
     stays = state.of_given_vertices(state.origin.stays)
     return replace(state, certified=state.valid & same_frame(state.given, state.mesh, stays, names))

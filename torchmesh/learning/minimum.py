@@ -25,6 +25,7 @@ from ..optimising.hessian import Hessian
 from ..optimising.jacobian import equilateral
 from ..optimising.objective import Packing, pack
 from ..smoothing.smoothing import SmoothOptions
+from ..status import Status
 from ..untangling.options import UntangleOptions
 
 # The part of the decrease that the slope promises which a step must reach (Armijo's condition).
@@ -79,6 +80,8 @@ class LayerOptions:
 class LayerInfo:
     """How a layer's last forward pass ended, per mesh (B,).
 
+    status     int64 `Status`: CONVERGED; VALID, but not converged; or why the mesh is not valid: INVERTED (`Smooth` was
+               given it so), STALLED (`Untangle` did not solve it), INFEASIBLE, NOT_FINITE
     valid      bool, every triangle is upright by exact sign
     converged  bool, valid, and the interior is at a minimum, so that the gradient is right.  In a mesh that is not
                converged, fixed vertices get their own gradient only
@@ -88,6 +91,7 @@ class LayerInfo:
     valid: Tensor
     converged: Tensor
     step: Tensor
+    status: Tensor
 
 
 def minimum(points: Tensor, start: MeshBatch, options: LayerOptions | None = None) -> tuple[Tensor, LayerInfo]:
@@ -168,7 +172,8 @@ def _minimise(start: MeshBatch, options: LayerOptions) -> tuple[_State, LayerInf
         at = _packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
         x = at.unknowns
     state = _State(points, at, _anchors(start, at), _Problem(start, at, options).hessian(x), start.fixed)
-    return state, LayerInfo(valid, converged, step)
+    status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
+    return state, LayerInfo(valid, converged, step, status)
 
 
 def _packed(start: MeshBatch, which: Tensor, points: Tensor | None = None) -> Packing:

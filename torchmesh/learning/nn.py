@@ -22,10 +22,13 @@ from torch import Tensor
 
 from ..diagnosing.diagnosis import diagnose
 from ..errors import ConvergenceError, InvalidMeshError
-from ..mesh.batch import MeshBatch, put
+from ..mesh.batch import MeshBatch, check_rows, put
+from ..mesh.detached import without_autocast
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any
+from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..smoothing.smoothing import smooth
+from ..status import Status
 from ..untangling.untangling import untangle
 from .minimum import LayerInfo, LayerOptions, minimum
 
@@ -62,7 +65,11 @@ class _Layer(torch.nn.Module):
 
         mesh  the batch whose triangles the points belong to; None: the layer's
 
-        Raises InvalidMeshError for points of another shape, or with coordinates that are not finite.
+        A mesh with a position that is not finite, or beyond 1e150, comes out as it went in if `on_failure` is "keep";
+        `info.status` says so.
+
+        Raises InvalidMeshError for points of another shape or type, for a batch whose triangles are not of its
+        vertices, and, if `on_failure` is "raise", for such positions.
         """
         mesh = self.mesh if mesh is None else mesh
         if mesh is None:
@@ -71,18 +78,24 @@ class _Layer(torch.nn.Module):
             raise InvalidMeshError(
                 f"points must be {tuple(mesh.points.shape)} as in the batch, not {tuple(points.shape)}"
             )
-        bad = ~points.detach().isfinite().all(1)
-        if bool(bad.any()):
-            row = int(bad.nonzero()[0, 0])
-            raise InvalidMeshError(f"points row {row} is {points[row].tolist()}: every coordinate must be finite")
         given = replace(mesh, points=points.detach())
-        with torch.no_grad():
-            start = self._valid(given)
-        out, self.info = minimum(points, start, self.options)
+        check_rows(given)
+        unfit = unfit_meshes(given)
+        if self.on_failure == "raise" and bool(unfit.any()):
+            b = int(unfit.nonzero()[0, 0])
+            raise InvalidMeshError(f"mesh {b}: {what_is_unfit(given, b)[0]}")
+        with without_autocast():
+            with torch.no_grad():
+                start, status = self._valid(given, unfit)
+            out, info = minimum(points, start, self.options)
+        self.info = replace(info, status=torch.where(info.valid, info.status, status))
         return out
 
-    def _valid(self, given: MeshBatch) -> MeshBatch:
-        """The given meshes made valid, with the same fixed vertices."""
+    def _valid(self, given: MeshBatch, unfit: Tensor) -> tuple[MeshBatch, Tensor]:
+        """The given meshes made valid, with the same fixed vertices, and why (B,) they are not, where they are not.
+
+        unfit  (B,) bool, the meshes that are to stay as they are
+        """
         raise NotImplementedError
 
 
@@ -95,14 +108,15 @@ class Smooth(_Layer):
                 as it went in
     """
 
-    def _valid(self, given: MeshBatch) -> MeshBatch:
+    def _valid(self, given: MeshBatch, unfit: Tensor) -> tuple[MeshBatch, Tensor]:
         refused = segment_any(~upright(given), given.triangle_offsets)
         if self.on_failure == "raise" and bool(refused.any()):
             raise InvalidMeshError(
                 f"meshes {refused.nonzero().squeeze(1).tolist()[:10]} have inverted triangles: "
                 "Smooth needs valid meshes, Untangle takes any"
             )
-        return smooth(given, self.options.smooth)[0]
+        mesh, info = smooth(given, self.options.smooth)
+        return mesh, info.status
 
 
 class Untangle(_Layer):
@@ -118,9 +132,9 @@ class Untangle(_Layer):
                    no valid mesh; "keep": such a mesh comes out as far as it got
     """
 
-    def _valid(self, given: MeshBatch) -> MeshBatch:
+    def _valid(self, given: MeshBatch, unfit: Tensor) -> tuple[MeshBatch, Tensor]:
         problems = diagnose(given)
-        hopeless = torch.zeros(len(given), dtype=torch.bool, device=given.points.device)
+        hopeless = unfit.clone()
         hopeless[[problem.mesh for problem in problems]] = True
         if self.on_failure == "raise" and problems:
             raise InvalidMeshError(f"mesh {problems[0].mesh} cannot be untangled: {problems[0].message}")
@@ -133,4 +147,5 @@ class Untangle(_Layer):
                 f"meshes {failed.nonzero().squeeze(1).tolist()[:10]} were not untangled with these triangles; "
                 "improve them first, or use on_failure='keep'"
             )
-        return smooth(better, self.options.smooth)[0]
+        status = torch.where(hopeless, int(Status.INFEASIBLE), int(Status.STALLED))
+        return smooth(better, self.options.smooth)[0], torch.where(unfit, int(Status.NOT_FINITE), status)

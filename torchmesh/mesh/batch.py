@@ -122,7 +122,14 @@ class MeshBatch:
         )
 
     def with_points(self, points: Tensor) -> "MeshBatch":
-        """The same meshes at other positions (V, 2)."""
+        """The same meshes at other positions (V, 2), which may be anything: not even finite.
+
+        Raises InvalidMeshError for another shape, and for what is no tensor of real numbers.
+        """
+        if not isinstance(points, Tensor):
+            raise InvalidMeshError(f"points must be a tensor, not {type(points).__name__}")
+        if points.dtype == torch.bool or points.is_complex():
+            raise InvalidMeshError(f"points must be real numbers, not {points.dtype}")
         if points.shape != self.points.shape:
             raise InvalidMeshError(
                 f"points must be {tuple(self.points.shape)} as in the batch, not {tuple(points.shape)}"
@@ -130,15 +137,22 @@ class MeshBatch:
         return dataclasses.replace(self, points=points.to(self.points))
 
     def with_triangles(self, triangles: Tensor, twin: Tensor | None = None) -> "MeshBatch":
-        """The same vertices with other `triangles` (T, 3), of which each mesh has as many as before.
+        """The same vertices with other `triangles` (T, 3) int64, of which each mesh has as many as before.
 
-        twin  (3T,) the twins of these triangles, if the caller knows them
+        twin  (3T,) the twins of these triangles, if the caller knows them; then nothing is checked but shape and type
+
+        Raises InvalidMeshError for another shape or type, and for rows that are not of the mesh's own vertices.
         """
+        if not isinstance(triangles, Tensor) or triangles.dtype != torch.int64:
+            raise InvalidMeshError(f"triangles must be int64, not {getattr(triangles, 'dtype', type(triangles))}")
         if triangles.shape != self.triangles.shape:
             raise InvalidMeshError(
                 f"triangles must be {tuple(self.triangles.shape)} as in the batch, not {tuple(triangles.shape)}"
             )
-        return dataclasses.replace(self, triangles=triangles, _twin=None if twin is None else (triangles, twin))
+        batch = dataclasses.replace(self, triangles=triangles, _twin=None if twin is None else (triangles, twin))
+        if twin is None:
+            check_rows(batch)
+        return batch
 
     def to(self, *args: Any, **kwargs: Any) -> "MeshBatch":
         """The batch in another dtype or on another device, with arguments as in `torch.Tensor.to`.
@@ -197,6 +211,33 @@ class MeshBatch:
             triangle_offsets,
             self.frames[keep],
             None if twin is None else (triangles, _selected_twins(self, twin, keep)),
+        )
+
+
+def check_rows(batch: MeshBatch) -> None:
+    """Raise InvalidMeshError, naming mesh and row, unless all triangles are of vertices of their own mesh.
+
+    `MeshBatch.from_arrays` makes sure of that; the constructor does not.
+    """
+    points, faces, ends, corners = batch.points, batch.triangles, batch.triangle_offsets, batch.point_offsets
+    if points.ndim != 2 or points.shape[1] != 2 or points.dtype not in (torch.float32, torch.float64):
+        raise InvalidMeshError(f"points must be (V, 2), float32 or float64, not {tuple(points.shape)} {points.dtype}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
+        raise InvalidMeshError(f"triangles must be (T, 3) int64, not {tuple(faces.shape)} {faces.dtype}")
+    if batch.fixed.shape != points.shape[:1] or batch.fixed.dtype != torch.bool:
+        raise InvalidMeshError(
+            f"fixed must be ({len(points)},) bool, not {tuple(batch.fixed.shape)} {batch.fixed.dtype}"
+        )
+    if int(corners[-1]) != len(points) or int(ends[-1]) != len(faces) or len(corners) != len(ends):
+        raise InvalidMeshError("the offsets of the batch do not fit its points and triangles")
+    outside = ((faces < spread(corners[:-1], ends)[:, None]) | (faces >= spread(corners[1:], ends)[:, None])).any(1)
+    if bool(outside.any()):
+        row = int(outside.nonzero()[0, 0])
+        b = int(owner_of(outside.nonzero()[:1, 0], ends))
+        low, high = corners[b : b + 2].tolist()
+        raise InvalidMeshError(
+            f"mesh {b}: triangles row {row} is {faces[row].tolist()}: the mesh's rows of points run from {low} to "
+            f"{high - 1}"
         )
 
 

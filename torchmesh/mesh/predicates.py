@@ -57,13 +57,22 @@ def _decide(
     rows: Sequence[Tensor],
     exact: Callable[[list[Tensor]], Tensor],
 ) -> Tensor:
-    """(N,) int8 sign of the determinant: its own where rounding cannot change it, else that of `exact`."""
+    """(N,) int8 sign of the determinant: its own where rounding cannot change it, else that of `exact`.
+
+    It is 0 where a coordinate is not finite, so that a triangle with such a corner is not upright.
+    """
     # Not where anything has overflowed, as no number is above infinity; NaN is above none.
     sure = determinant.abs() > (magnitude * bound).clamp_min_(_UNDERFLOW)
     sign = determinant.sign().to(torch.int8)
     unsure = (~sure).nonzero().squeeze(1)
     if len(unsure):
-        sign[unsure] = exact([r[unsure] for r in rows])
+        few = [r[unsure] for r in rows]
+        finite = torch.stack(few).isfinite().all(0)
+        if bool(finite.all()):
+            sign[unsure] = exact(few)
+        else:
+            sign[unsure] = 0
+            sign[unsure[finite]] = exact([r[finite] for r in few])
     return sign
 
 

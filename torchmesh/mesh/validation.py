@@ -53,13 +53,19 @@ def checked_points(points: Any) -> Tensor:
     return xyz
 
 
+def fit_positions(xyz: Tensor) -> Tensor:
+    """(V,) bool: every coordinate of the point is finite, and small enough to compute areas with."""
+    # In single precision the limit would be infinite.
+    return (xyz.abs() <= _LARGEST).all(1) & xyz.isfinite().all(1)
+
+
 def checked_positions(xyz: Tensor, faces: Tensor) -> Tensor:
     """The points (V, 2) or (V, 3) if one can compute with them.
 
     A vertex of no triangle whose coordinates are not finite, or too large, is put on a vertex that has one, with a
     MeshWarning.
     """
-    unfit = ~(xyz.abs() <= _LARGEST).all(1)
+    unfit = ~fit_positions(xyz)
     if bool(unfit.any()):
         used = torch.zeros(len(xyz), dtype=torch.bool, device=xyz.device)
         used[faces.reshape(-1)] = True

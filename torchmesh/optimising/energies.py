@@ -131,8 +131,9 @@ def slopes_and_curvatures(energy: Energy, stretch: Tensor, det: Tensor) -> tuple
 
     Returns (2, T) by stretch and by det, and (3, T) by stretch twice, by both, and by det twice.
     """
-    with torch.enable_grad():
-        s, d = stretch.detach().requires_grad_(), det.detach().requires_grad_()
+    # Tensors of inference mode have no graph; copies that are made outside it do.
+    with torch.inference_mode(False), torch.enable_grad():
+        s, d = stretch.detach().clone().requires_grad_(), det.detach().clone().requires_grad_()
         slopes = _derivatives(energy.value(s, d), s, d, again=True)
         (ss, sd), (_, dd) = (_derivatives(slope, s, d) for slope in slopes)
     return torch.stack(slopes).detach(), torch.stack([ss, sd, dd])

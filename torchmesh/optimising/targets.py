@@ -137,6 +137,14 @@ def as_targets(targets: Targets | TargetFunction | None) -> Targets | None:
     return MetricField.from_targets(targets) if callable(targets) else targets
 
 
+def check_fit(batch: MeshBatch, targets: Targets) -> None:
+    """Raise InvalidMeshError unless there is a proper target for every triangle, or vertex, of the batch."""
+    if isinstance(targets, MetricField):
+        targets.at_vertices(batch)
+    else:
+        _target(batch, targets)
+
+
 def check(targets: object) -> None:
     """Raise ValueError unless these are targets, as far as can be told without a batch."""
     if isinstance(targets, MetricField) or (isinstance(targets, Tensor) and targets.shape[1:] == (2, 2)):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import holding
 from ..mesh.measure import quality
 from ..mesh.ragged import counts_from_offsets, segment_any, spread
@@ -57,6 +58,7 @@ class RemeshInfo:
         return cls(*counts, state.names.vertex_map(), size, conformity)
 
 
+@without_autograd
 def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[MeshBatch, RemeshInfo]:
     """Add and remove vertices until edges have the sizes wanted and triangles good shapes.
 

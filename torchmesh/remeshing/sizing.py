@@ -14,6 +14,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, vertex_mesh
+from ..mesh.detached import without_autograd
 from ..mesh.means import means_at_vertices, sums_at_vertices
 from ..mesh.metrics import percentiles
 from ..mesh.ragged import (
@@ -26,6 +27,7 @@ from ..mesh.ragged import (
     spread,
 )
 from ..mesh.triangle import SQRT3, Corners, corners, signed_area
+from ..mesh.unfit import unfit_meshes
 from ..optimising.conjugate_gradients import solve
 from ..optimising.laplacian import InnerStiffness, cotangent_weights, harmonic_extension
 
@@ -78,6 +80,7 @@ class InwardOptions:
                 raise ValueError(f"InwardOptions.{name} must not be negative, but is {getattr(self, name)}")
 
 
+@without_autograd
 def size_field(
     batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor | None = None, accuracy: float | None = None
 ) -> Tensor:
@@ -90,11 +93,20 @@ def size_field(
     triangles  (B,) how many triangles "boundary" and "uniform" aim at; None means as many as there are
     accuracy   for "boundary", how accurately its linear systems are solved (`InwardOptions.accuracy`)
 
+    In a mesh with a position that is not finite, or beyond 1e150, they are 1 unless they are given.
     Raises ValueError for an unknown name, and InvalidMeshError, which names the vertex, for sizes that are not (V,)
     positive finite numbers.
     """
     check_sizes(sizes)
     if isinstance(sizes, str):
+        unfit = unfit_meshes(batch)
+        if bool(unfit.any()):
+            out = torch.ones(len(batch.points), dtype=torch.float64, device=batch.points.device)
+            few = None if triangles is None else triangles[~unfit]
+            if not bool(unfit.all()):
+                known = size_field(batch.select(~unfit), sizes, triangles=few, accuracy=accuracy)
+                out[spread(~unfit, batch.point_offsets)] = known
+            return out
         wanted = counts_from_offsets(batch.triangle_offsets) if triangles is None else triangles
         if sizes == "boundary":
             return boundary_sizes(batch, wanted, InwardOptions(accuracy))
@@ -272,6 +284,7 @@ class SizeConformity:
     high: Tensor
 
 
+@without_autograd
 def size_conformity(batch: MeshBatch, sizes: Sizes = "boundary") -> SizeConformity:
     """How well the edges of each mesh follow a size field; `sizes` as in `size_field`."""
     return conformity(batch, size_field(batch, sizes), lambda edges: edge_lengths(batch, edges))

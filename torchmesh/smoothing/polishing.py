@@ -22,6 +22,7 @@ from torch import Tensor
 from ..mesh import triangle
 from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import touching
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.measure import Quality, quality
 from ..mesh.neighbourhoods import surroundings
@@ -131,6 +132,7 @@ class PolishInfo:
     flips: Tensor
 
 
+@without_autograd
 def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[MeshBatch, PolishInfo]:
     """Improve the worst triangles of valid meshes by flips and moves of the vertices near them.
 

@@ -7,10 +7,12 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
+from ..mesh.unfit import unfit_meshes
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import InverseMeanRatio
 from ..optimising.jacobian import equilateral
@@ -95,6 +97,7 @@ class SmoothOptions:
         return "slide" in (self.boundary, self.at_interfaces)
 
 
+@without_autograd
 def smooth(
     batch: MeshBatch,
     options: SmoothOptions | None = None,
@@ -107,7 +110,7 @@ def smooth(
     """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
 
     No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
-    `Status.INVERTED`.
+    `Status.INVERTED`, and one with a position that is not finite, or beyond 1e150, with `Status.NOT_FINITE`.
 
     free     (V,) bool: of the vertices that may move, move only these; None: all
     monitor  called with the iteration and the energies of the meshes still running
@@ -117,8 +120,8 @@ def smooth(
              vertices; has no effect with curves
     """
     options = options or SmoothOptions()
-    given = batch
-    refused = segment_any(~upright(batch), batch.triangle_offsets)
+    given, unfit = batch, unfit_meshes(batch)
+    refused = segment_any(~upright(batch), batch.triangle_offsets) | unfit
     if curves is None and options.slides:
         from .sliding import curves_of
 
@@ -144,6 +147,7 @@ def smooth(
     # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
     worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
     status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
+    status = torch.where(unfit, int(Status.NOT_FINITE), status)
     if bool(worse.any()):
         back = spread(worse, batch.point_offsets)[:, None]
         moved = batch.with_points(torch.where(back, batch.points, moved.points))

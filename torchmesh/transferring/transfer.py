@@ -15,8 +15,10 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
+from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
 from ..mesh.ragged import counts_from_offsets
+from ..mesh.validation import fit_positions
 from .location import locate, nearest_triangles, nearest_vertices
 from .overlaps import Overlaps, overlaps, signed_areas
 from .pairs import Side, both_sides
@@ -150,6 +152,7 @@ def transfer(
     return out, TransferInfo(info.moved, info.tangled, info.outside, overshoots, info.uncovered, info.missed)
 
 
+@without_autograd
 def transfer_matrix(
     before: MeshBatch, after: MeshBatch, where: Where = "points", method: Literal["linear", "nearest"] = "linear"
 ) -> Tensor:
@@ -174,9 +177,9 @@ def prepared(before: MeshBatch, after: MeshBatch, where: Where = "points", metho
     for name, batch in (("before", before), ("after", after)):
         bad = torch.zeros(len(batch.points), dtype=torch.bool, device=batch.points.device)
         bad[batch.triangles.reshape(-1)] = True  # vertices of no triangle may be anything
-        bad &= ~batch.points.isfinite().all(1)
+        bad &= ~fit_positions(batch.points)
         if bool(bad.any()):
-            raise InvalidMeshError(f"{name}: points row {int(bad.nonzero()[0])} is not finite")
+            raise InvalidMeshError(f"{name}: points row {int(bad.nonzero()[0])} is not finite, or beyond 1e150")
     sides = both_sides(before, after)
     if where == "triangles":
         return _nearest_in_triangles(*sides) if method == "nearest" else _triangles(*sides, _unmoved(before, after))

@@ -7,11 +7,13 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, put, triangle_mesh
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import holding, released
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, segment_count, segment_sum, spread
 from ..mesh.triangle import Corners, corners, signed_area
+from ..mesh.unfit import unfit_meshes
 from ..optimising.jacobian import Target, equilateral, target_of
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import pack
@@ -22,6 +24,7 @@ from .local_size import local_size
 from .options import UntangleOptions
 
 
+@without_autograd
 def untangle(
     batch: MeshBatch,
     options: UntangleOptions | None = None,
@@ -33,7 +36,8 @@ def untangle(
     """Move the free vertices until every triangle is upright, where that is possible with these triangles.
 
     A mesh without inverted triangles comes back unmoved.  `info.status` is `Status.VALID` for every mesh that ends
-    valid.  Of each other mesh the try with the fewest inverted triangles comes back.
+    valid.  Of each other mesh the try with the fewest inverted triangles comes back.  A mesh with a position that is
+    not finite, or beyond 1e150, comes back as it is, with `Status.NOT_FINITE`.
 
     reference  the meshes before they were deformed: the same triangles, all upright.  The first try of "regularised"
                then takes each triangle's shape and size there as its target, and minimises the energy further once
@@ -46,20 +50,20 @@ def untangle(
     options = options or UntangleOptions()
     if reference is not None:
         check_reference(batch, reference)
-    given, batch = batch, holding(batch, options.interfaces)
-    tangled = segment_any(~upright(batch), batch.triangle_offsets)
+    given, batch, unfit = batch, holding(batch, options.interfaces), unfit_meshes(batch)
+    tangled = segment_any(~upright(batch), batch.triangle_offsets) & ~unfit
     may_move = ~batch.fixed & spread(tangled, batch.point_offsets)
     if free is not None:
         may_move &= free
     if options.method == "beta":
         moved, info = untangle_beta(batch, may_move, options, monitor)
-        return released(moved, given), info
+        return released(moved, given), _refused(info, unfit)
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
     moved, info = try_regularised(batch, packing, target, size, options, monitor, settle=reference is not None)
     rest = options.size_sweeps[1:] if reference is None else options.size_sweeps
     for sweeps in rest:
-        again = info.status != Status.VALID
+        again = (info.status != Status.VALID) & ~unfit
         if not bool(again.any()):
             break
         part, movable = batch.select(again), may_move[spread(again, batch.point_offsets)]
@@ -69,7 +73,12 @@ def untangle(
         now = moved.select(again)
         moved = put(moved, again, put(now, fewer, tried.select(fewer)) if bool(fewer.any()) else now)
         info = _merged(info, again, its, fewer)
-    return released(moved, given), info
+    return released(moved, given), _refused(info, unfit)
+
+
+def _refused(info: MoveInfo, unfit: Tensor) -> MoveInfo:
+    """`info` where it is known that the meshes `unfit` (B,) bool were not looked at."""
+    return replace(info, status=torch.where(unfit, int(Status.NOT_FINITE), info.status))
 
 
 def check_reference(batch: MeshBatch, reference: MeshBatch) -> None:

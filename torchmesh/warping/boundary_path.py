@@ -10,6 +10,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.detached import without_autograd
 from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread
 from ..mesh.triangle import corners
 from ..mesh.units import centre_and_unit
@@ -18,6 +19,7 @@ from ..mesh.units import centre_and_unit
 _RIGID = 0.25
 
 
+@without_autograd
 def largest_step(batch: MeshBatch, new_points: Tensor) -> Tensor:
     """(B,) the part of the straight way to `new_points` on which no triangle of a mesh inverts.
 

@@ -6,13 +6,17 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
-from ..mesh.batch import MeshBatch
+from ..mesh.batch import MeshBatch, put
+from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.triangle import corners
+from ..mesh.unfit import unfit_meshes
+from ..mesh.validation import fit_positions
 from ..optimising.laplacian import cotangent_weights, harmonic_extension
 
 
+@without_autograd
 def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
     """Move the fixed vertices to `new_points` and let the others follow harmonically.
 
@@ -47,24 +51,29 @@ def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
     target = torch.as_tensor(new_points).to(batch.points)
     if target.shape != batch.points.shape:
         raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
-    bad = batch.fixed & ~target.isfinite().all(1)
+    bad = batch.fixed & ~fit_positions(target)
     if bool(bad.any()):
         row = int(bad.nonzero()[0, 0])
         raise InvalidMeshError(
-            f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite position"
+            f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite position, below 1e150"
         )
     refuse_inverted(batch, f"; {what} starts from a valid mesh, so improve it first")
     return torch.where(batch.fixed[:, None], target, batch.points)
 
 
+@without_autograd
 def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatch:
     """Move every free vertex to the mean of its neighbours, wherever it was.
 
     interfaces  "free": the ends of constrained edges move, too; otherwise they stay
 
     With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
-    Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.
+    Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.  A mesh with a
+    position that is not finite, or beyond 1e150, comes back as it is.
     """
+    unfit = unfit_meshes(batch)
+    if bool(unfit.any()):
+        return batch if bool(unfit.all()) else put(batch, ~unfit, relax(batch.select(~unfit), interfaces=interfaces))
     one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
     fixed = holding(batch, interfaces).fixed
     points = harmonic_extension(batch.triangles, (one, one, one), fixed, batch.points, batch.point_offsets)
