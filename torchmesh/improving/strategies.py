@@ -381,7 +381,8 @@ def _compared(state: State, o: ImproveOptions) -> State:
 def certify(state: State, run: Runner, o: ImproveOptions) -> State:
     """Say of every mesh whether it is valid and its frame is what it was, by signs and edges looked at anew."""
     state = run.quietly("certify", _certified, state, torch.ones_like(state.valid))
-    failed = torch.tensor([bool(failures) for failures in state.failures], device=state.meshes.device)
+    failures = [bool(failures) for failures in state.failures]
+    failed = torch.tensor(failures, dtype=torch.bool, device=state.meshes.device)
     return state.ended(failed, Status.FAILED)
 
 
