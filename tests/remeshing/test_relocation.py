@@ -12,7 +12,7 @@ from meshes import crowded_square
 
 import torchmesh as tm
 from torchmesh.remeshing.options import RemeshOptions
-from torchmesh.remeshing.relocation import relocated
+from torchmesh.remeshing.relocation import QUICK, relocated
 
 
 def travelled(batch, **options):
@@ -83,3 +83,13 @@ def test_sizes_of_the_undeformed_mesh_are_kept(topology):
     after, report = tm.improve(tangled, options)
     assert report.certified.tolist() == [True]
     assert (len(after.points) == len(graded.points)) or topology == "full"
+
+
+def test_rounds_are_bounded_by_the_work_on_a_mesh_and_those_it_has_had_count():
+    mesh = strip()
+    most = max(QUICK.work // (len(mesh.triangles) + QUICK.overhead), QUICK.least_rounds)
+    state = travelled(mesh)
+    assert 0 < int(state.rounds) <= most
+    spent = relocated(mesh, RemeshOptions(), torch.tensor([most]))
+    assert spent.rounds.tolist() == [most]
+    assert spent.splits.tolist() == [0]

@@ -44,6 +44,8 @@ class Refining:
     least_gain             a round that lowers the mean by less than this, and the maximum by less than
                            `least_gain_of_maximum` times itself, is the last one of any mesh
     sliver                 a triangle with a higher ratio is so flat that it alone would decide flips and smoothing
+    last_steps             iterations of the last smoothing at most, where edges may flip: usual meshes take up to 40;
+                           what 150 leave is left to the travel of vertices
     coarse                 meshes with a higher maximum are smoothed in double precision, whatever was asked for
     """
 
@@ -53,6 +55,7 @@ class Refining:
     least_gain: float = 1e-4
     least_gain_of_maximum: float = 1e-3
     sliver: float = 1e4
+    last_steps: int = 150
     coarse: float = 100.0
 
 

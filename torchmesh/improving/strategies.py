@@ -291,7 +291,10 @@ def smooth_in_fitting_precision(
 
 def smooth_at_last(state: State, run: Runner, o: ImproveOptions) -> State:
     """The smoothing that cares for the worst triangles, too."""
-    state = smooth_in_fitting_precision(state, run, o, o.smooth, state.valid)
+    last = (
+        replace(o.smooth, max_iterations=min(o.smooth.max_iterations, o.refine.last_steps)) if o.may_flip else o.smooth
+    )
+    state = smooth_in_fitting_precision(state, run, o, last, state.valid)
     return state.ended(state.running, Status.SETTLED)
 
 

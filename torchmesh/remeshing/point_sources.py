@@ -82,10 +82,7 @@ def place_sources(batch: MeshBatch, options: SourceOptions | None = None) -> Poi
     inward = continue_inwards(batch)
     size = exp(inward.logarithm)
     x, y, h, reach = _candidates(points, offsets, size, torch.where(inward.known, -torch.inf, inward.bend), options)
-    area = signed_area(corners(points, batch.triangles))
-    here = size[batch.triangles].mean(1)
-    fitting = _PER_AREA * segment_sum(area / here / here, batch.triangle_offsets)
-    surplus = counts_from_offsets(batch.triangle_offsets) - fitting
+    surplus = counts_from_offsets(batch.triangle_offsets) - _fitting(batch, size)
     # So many sources as can take up the surplus with the least size allowed.
     capacity = triangles_round(torch.full_like(surplus, options.least), reach, options.slope).cumsum(1)
     enough = (capacity < surplus[:, None]).sum(1, keepdim=True)
@@ -93,6 +90,18 @@ def place_sources(batch: MeshBatch, options: SourceOptions | None = None) -> Poi
     part = _fitting_part(surplus, torch.where(used, reach, 0.0), options)
     least = torch.where(used & h.isfinite(), part[:, None] * h, torch.inf)
     return PointSources(torch.where(used, x, torch.inf), torch.where(used, y, torch.inf), least, options.slope)
+
+
+def share_with_room(batch: MeshBatch) -> Tensor:
+    """(B,) float64 the triangles for which the sizes of the boundary have room, as a part of those that there are."""
+    return _fitting(batch, exp(continue_inwards(batch).logarithm)) / counts_from_offsets(batch.triangle_offsets)
+
+
+def _fitting(batch: MeshBatch, size: Tensor) -> Tensor:
+    """(B,) float64 how many equilateral triangles of the sizes (V,) fill each mesh."""
+    area = signed_area(corners(batch.points.to(torch.float64), batch.triangles))
+    here = size[batch.triangles].mean(1)
+    return _PER_AREA * segment_sum(area / here / here, batch.triangle_offsets)
 
 
 def _candidates(

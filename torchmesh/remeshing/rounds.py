@@ -47,10 +47,17 @@ class Pace:
     few           rounds end when fewer than one edge changed for so many triangles
     few_when_good  the same where the mean is at most `good`; None: the same as `few`
     gain_mean     rounds end when the mean fell by less than this
+    gain_of_mean  or by less than this part of its excess over 1
     gain_max      and the maximum by less than this part of itself
     last_rounds   rounds of flips and smoothing before the last smoothing at most, while edges flip
     last_iterations  iterations of each of these smoothings at most
     looser        the last smoothing ends at so many times its energy tolerance
+    work          bound of the work on a mesh, in triangles: its rounds in all, those after shakes among them, times the
+                  sum of its triangles and `overhead`; None: no bound
+    overhead      a round of a small mesh takes as long as a larger mesh's triangles by this number (measured: half of
+                  the time of a round on 1,700 triangles does not depend on their number)
+    least_rounds  so many rounds a mesh has whatever its size
+    last_steps    iterations of the last smoothing at most, where rows stay; None: as many as its options say
     accuracy      how accurately the sizes of the boundary are continued inwards (`InwardOptions.accuracy`)
     slack         where the mean falls, the maximum may become this many times as high: it hangs on one triangle
     """
@@ -62,10 +69,15 @@ class Pace:
     few: int = 500
     few_when_good: int | None = None
     gain_mean: float = 1e-4
+    gain_of_mean: float = 1e-3
     gain_max: float = 1e-3
     last_rounds: int = 5
     last_iterations: int = 20
     looser: float = 1.0
+    work: int | None = None
+    overhead: int = 1750
+    least_rounds: int = 4
+    last_steps: int | None = None
     accuracy: float | None = None
     slack: float = 1.02
 
@@ -121,8 +133,10 @@ def settle(state: RemeshState, plan: Plan, smoothing: SmoothOptions) -> RemeshSt
 
 def settle_once(state: RemeshState, plan: Plan) -> RemeshState:
     """An end for meshes that keep their rows: flip, and smooth to `looser` times the tolerance."""
-    smoothing = plan.options.smooth
-    return settle(state, plan, replace(smoothing, energy_tolerance=plan.pace.looser * smoothing.energy_tolerance))
+    smoothing, pace = plan.options.smooth, plan.pace
+    most = smoothing.max_iterations if pace.last_steps is None else min(pace.last_steps, smoothing.max_iterations)
+    tolerance = pace.looser * smoothing.energy_tolerance
+    return settle(state, plan, replace(smoothing, energy_tolerance=tolerance, max_iterations=most))
 
 
 def improved(state: RemeshState, plan: Plan) -> RemeshState:
@@ -145,7 +159,8 @@ def improved(state: RemeshState, plan: Plan) -> RemeshState:
 
 def _rounds(state: RemeshState, plan: Plan) -> RemeshState:
     """Cut and settle in turn, until hardly an edge changes or the shapes no longer gain."""
-    going, before, pace = state.every(), state.quality(), plan.pace
+    before, pace = state.quality(), plan.pace
+    going = _has_rounds_left(state, pace)
     for turn in range(plan.options.max_rounds):
         if not bool(going.any()):
             break
@@ -157,10 +172,18 @@ def _rounds(state: RemeshState, plan: Plan) -> RemeshState:
         few = pace.few * changed <= state.triangles
         if pace.few_when_good is not None:
             few |= (now.mean <= pace.good) & (pace.few_when_good * changed <= state.triangles)
-        stuck = (before.mean - now.mean < pace.gain_mean) & (before.max - now.max < pace.gain_max * now.max)
-        going = going & ~few & ~(stuck & (turn > 0))
+        least = (pace.gain_of_mean * (before.mean - 1)).clamp_min(pace.gain_mean)
+        stuck = (before.mean - now.mean < least) & (before.max - now.max < pace.gain_max * now.max)
+        going = going & ~few & ~(stuck & (turn > 0)) & _has_rounds_left(state, pace)
         before = now
     return state
+
+
+def _has_rounds_left(state: RemeshState, pace: Pace) -> Tensor:
+    """(B,) bool: the mesh has had fewer rounds than the pace allows."""
+    if pace.work is None:
+        return state.every()
+    return state.rounds < (pace.work // (state.triangles + pace.overhead)).clamp_min(pace.least_rounds)
 
 
 def _shaken(state: RemeshState, plan: Plan) -> RemeshState:
@@ -169,7 +192,7 @@ def _shaken(state: RemeshState, plan: Plan) -> RemeshState:
     ceiling = pace.over_ceiling * (options.smooth.ceiling or 1.0)
     for short, long in pace.shakes:
         before = state.quality()
-        rough = (before.mean > pace.good) & (state.rounds > 0)
+        rough = (before.mean > pace.good) & (state.rounds > 0) & _has_rounds_left(state, pace)
         if not bool(rough.any()):
             break
         given = state.select(rough)
