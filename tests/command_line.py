@@ -8,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cracks
 import meshes
 import meshio
 import numpy as np
 from exact import double_area
 
+from experiments.robustness.attack import cracks
 from torchmesh import MeshBatch, write
 
 

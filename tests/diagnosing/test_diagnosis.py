@@ -1,10 +1,10 @@
 import dataclasses
 
-import cracks
 import numpy as np
 import pytest
 import torch
 
+from experiments.robustness.attack import cracks
 from torchmesh.diagnosing.diagnosis import ProblemKind, diagnose
 from torchmesh.improving.pipeline import improve
 from torchmesh.mesh.batch import MeshBatch, join

@@ -1,12 +1,12 @@
 """Arrays of which no mesh can be made, and what is made of them; a mesh that needs no wipe comes back as it is."""
 
-import cracks
 import meshes
 import numpy as np
 import pytest
 import torch
 from exact import boundary, directed_edges, double_area
 
+from experiments.robustness.attack import cracks
 from torchmesh import InvalidMeshError, MeshBatch, clean
 
 SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.4, 0.5]])

@@ -1,10 +1,10 @@
 """Boundaries that touch themselves as plane graphs, judged by exact rationals and by areas that are known."""
 
-import cracks
 import numpy as np
 import pytest
 from exact import double_area
 
+from experiments.robustness.attack import cracks
 from torchmesh.triangulating.arrays import Obstacle
 from torchmesh.triangulating.polygon import loops_of
 from torchmesh.triangulating.polygon_triangulation import triangulate_with

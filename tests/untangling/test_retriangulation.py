@@ -1,6 +1,5 @@
 """Cavities are re-triangulated into valid meshes, whatever lies in them; what is impossible is said."""
 
-import cracks
 import numpy as np
 import pytest
 import torch
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from judges import assert_every_row_stays
 from scipy.spatial import Delaunay
 
+from experiments.robustness.attack import cracks
 from torchmesh.errors import InvalidMeshError
 from torchmesh.mesh.batch import MeshBatch, join
 from torchmesh.mesh.interfaces import holding
