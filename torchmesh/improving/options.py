@@ -136,6 +136,10 @@ class ImproveOptions:
     untangle_rounds   the greatest number of rounds of flipping and untangling
     smooth_rounds     the greatest number of rounds of flipping and smoothing of a valid mesh
     rounds, refine    when these rounds end, and what they leave alone
+    shapes            which shapes triangles should have: "auto", equilateral, but layers are kept: rows of elements
+                      along a wall or interface whose heights are a small part of the wall's edges.  Their heights and
+                      numbers stay, and they follow their walls where a reference is given; "equilateral": all of them.
+                      Targets, and method "paper", have no layers
     reference         the same meshes undeformed, with the same triangles, if the caller has them.  Tangled interiors
                       are then first warped from those of the reference by FEMWARP, and the last untangling aims at each
                       triangle's undeformed shape and size.  A reference is refused if edges have flipped since
@@ -175,6 +179,7 @@ class ImproveOptions:
     remesh: RemeshOptions = field(default_factory=RemeshOptions)
     polish: PolishOptions | None = field(default_factory=PolishOptions)
     relocate: Literal["auto"] | bool = "auto"
+    shapes: Literal["auto", "equilateral"] = "auto"
     reference: MeshBatch | None = None
     scope: Literal["all", "damage"] = "all"
     damage: Damage = field(default_factory=Damage)
@@ -206,6 +211,8 @@ class ImproveOptions:
             )
         if self.relocate not in ("auto", True, False):
             raise ValueError(f"ImproveOptions.relocate must be 'auto', True or False, not {self.relocate!r}")
+        if self.shapes not in ("auto", "equilateral"):
+            raise ValueError(f"ImproveOptions.shapes must be 'auto' or 'equilateral', not {self.shapes!r}")
         check_topology(self.smooth.targets, self.topology)
         if self.workers is not None and self.workers < 1:
             raise ValueError(f"ImproveOptions.workers must be at least 1, not {self.workers}")
@@ -239,6 +246,11 @@ class ImproveOptions:
         asked = self.remesh.sizes_asked or self.smooth.targets is not None or self.reference is not None
         far = self.relocate is True or asked or self.slides or self.topology == "full"
         return not far and self.method == "default"
+
+    @property
+    def keeps_layers(self) -> bool:
+        """Whether layers of thin triangles along walls are kept."""
+        return self.shapes == "auto" and self.method == "default" and self.smooth.targets is None
 
     @property
     def travels(self) -> bool:

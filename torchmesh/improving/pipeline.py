@@ -23,6 +23,7 @@ from ..untangling.untangling import check_reference
 from ..warping.femwarp import with_held
 from .damage import improve_damage
 from .forked import can_fork, in_processes, one_thread
+from .layers import keeping_layers
 from .local_repair import on_submeshes
 from .options import ImproveOptions
 from .report import Progress, Report, left_over
@@ -115,6 +116,8 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
     job: Job = partial(improve_damage if options.scope == "damage" else improve_batch, options=options)
     if options.local and options.scope == "all":
         job = on_submeshes(job, options)
+    if options.keeps_layers:
+        job = keeping_layers(job)
     return in_processes(job, workers) if workers > 1 else job
 
 

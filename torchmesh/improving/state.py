@@ -19,7 +19,7 @@ from ..mesh.curves import BoundaryCurves
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.means import local_widths
 from ..mesh.measure import Quality, quality
-from ..mesh.ragged import spread
+from ..mesh.ragged import segment_count, segment_max, segment_sum, spread
 from ..mesh.vertex_map import Names, exchange
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, as_targets, narrow
@@ -40,6 +40,7 @@ class Given:
     sizes      (V,) the edge lengths asked for, or None
     stays      (V,) bool, the vertices that do not move: fixed or on interfaces, and not sliding
     interfaces  what becomes of the vertices on interfaces
+    layers     (V,) bool, the vertices of layers that are held, with the walls below; None: no layer is held
     """
 
     mesh: MeshBatch
@@ -47,6 +48,7 @@ class Given:
     sizes: Tensor | None
     stays: Tensor
     interfaces: Interfaces
+    layers: Tensor | None = None
 
     @cached_property
     def widths(self) -> Tensor:
@@ -185,6 +187,23 @@ class State:
     def valid(self) -> Tensor:
         """(B,) bool: no triangle of the mesh is inverted."""
         return self.quality.inverted == 0
+
+    @property
+    def judged(self) -> Quality:
+        """The quality by which it is decided what to do: that of the triangles outside the layers that are held.
+
+        A triangle of such a layer counts as ideal, and does not enter the mean.
+        """
+        if self.origin.layers is None:
+            return self.quality
+        names, q, offsets = self.vertex_names, self.quality, self.mesh.triangle_offsets
+        layers = (names.of < names.first) & self.origin.layers[names.of.clamp_max(names.first - 1)]
+        inside = layers[self.mesh.triangles].all(1)
+        ratio = torch.where(inside, 1.0, q.inverse_mean_ratio)
+        outside = segment_count(~inside, offsets)
+        mean = segment_sum(torch.where(inside, 0.0, ratio), offsets) / outside.clamp_min(1)
+        mean = torch.where(outside > 0, mean, 1.0)
+        return replace(q, inverse_mean_ratio=ratio, mean=mean, max=segment_max(ratio, offsets))
 
     @property
     def running(self) -> Tensor:

@@ -234,7 +234,7 @@ def _averaged(state: State) -> MeshBatch:
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:
     """A few triangles that are all but flat would drown the others in q^2, and more so in its ceiling."""
     first = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
-    return run("smooth", tethered(smooth(first)), state, state.valid & (state.quality.max > o.refine.sliver))[0]
+    return run("smooth", tethered(smooth(first)), state, state.valid & (state.judged.max > o.refine.sliver))[0]
 
 
 def flip_and_smooth(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -270,9 +270,9 @@ def _round_flips(before: State, after: State) -> Tensor:
 
 def _settled(before: State, after: State, o: ImproveOptions) -> Tensor:
     """(B,) bool: a round brought so little that another one is not worth it."""
-    q, r = after.quality, o.refine
-    gain = before.quality.mean - q.mean
-    nothing = (gain < r.least_gain) & (before.quality.max - q.max < r.least_gain_of_maximum * before.quality.max)
+    old, q, r = before.judged, after.judged, o.refine
+    gain = old.mean - q.mean
+    nothing = (gain < r.least_gain) & (old.max - q.max < r.least_gain_of_maximum * old.max)
     # Where no triangle is poor, the last smoothing does the rest.
     return nothing | ((gain < r.little_gain) & (q.max < (o.smooth.ceiling or 1.0)))
 
@@ -283,7 +283,7 @@ def smooth_in_fitting_precision(
     """Smooth the meshes `at`, those with very poor triangles in double precision whatever the options say."""
     if options.single:
         # In eighth powers, slivers leave the range of single precision.
-        poor = at & (state.quality.max > o.refine.coarse)
+        poor = at & (state.judged.max > o.refine.coarse)
         state, _ = run("smooth", tethered(smooth(replace(options, single=False))), state, poor)
         at = at & ~poor
     return run("smooth", tethered(smooth(options)), state, at)[0]
@@ -304,7 +304,7 @@ def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:
     asked = RemeshOptions() if o.topology == "full" else o.remesh
     if not (o.relocate or asked.sizes_asked):
         return state
-    at = crowded(state.quality, asked, state.mesh.triangle_offsets) & ~state.tethered
+    at = crowded(state.judged, asked, state.mesh.triangle_offsets) & ~state.tethered
     if bool(at.any()):
         state, work = run("relocate", relocate(o.remesh, keep_sizes=asked.sizes_asked), state, at)
         if o.slides:
@@ -316,7 +316,7 @@ def polish_the_worst(state: State, run: Runner, o: ImproveOptions) -> State:
     """The triangles that are still worse than is asked are worked on one by one."""
     if o.polish is None:
         return state
-    bad = bad_triangles(state.mesh, state.quality, o.polish)
+    bad = bad_triangles(state.mesh, state.judged, o.polish)
     return run("polish", tethered(polish(o.polish)), state, segment_any(bad, state.mesh.triangle_offsets))[0]
 
 

@@ -64,6 +64,10 @@ class BoundaryCurves:
         mask[self.rows(point_offsets)[self.slides]] = True
         return mask
 
+    def holding(self, vertices: Tensor, point_offsets: Tensor) -> "BoundaryCurves":
+        """The same curves, on which the `vertices` (V,) bool do not slide."""
+        return replace(self, slides=self.slides & ~vertices[self.rows(point_offsets)])
+
     def moved_to(self, sliding: Tensor) -> Tensor:
         """(K,) parameters of all stations when the sliding ones are at `sliding` (S,)."""
         s = self.parameter.clone()

@@ -1,0 +1,206 @@
+"""Layers that were meant: they are held while the rest of the mesh is worked on.
+
+      reference or given mesh          the mesh to be worked on                      the result
+    find_layers ------------------> their vertices follow their walls, are ----> vertices and edges are
+                                    held there, and their edges are constrained    as free as before
+
+A held layer may leave the rest no room, for example where a wall has come too near to another one.  A mesh that stays
+tangled is therefore tried again with the lower half of the rows, with a quarter, and at last without any.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..layering.following import follow_walls
+from ..layering.layers import Layers, find_layers
+from ..mesh.batch import MeshBatch, put, triangle_mesh, vertex_mesh
+from ..mesh.connectivity import boundary_edges, keys_of
+from ..mesh.measure import upright
+from ..mesh.ragged import rows_of
+from .runner import Job, Log
+from .state import Given, State
+
+# The parts of its rows that a layer is tried with; after the last one it is not held.
+_SHARES = (1.0, 0.5, 0.25)
+# So many layers of a mesh are named in its message.
+_NAMED = 3
+
+
+def keeping_layers(job: Job) -> Job:
+    """The job that does `job` with the layers of each mesh held; it is `job` itself where there is no layer."""
+
+    def keep(state: State, log: Log) -> State:
+        layers = find_layers(state.given if state.reference is None else state.reference, known=_known(state))
+        if not len(layers):
+            return job(state, log)
+        return _with_fewer_rows(job, state, log, layers, 0)
+
+    return keep
+
+
+def _known(state: State) -> Tensor | None:
+    """(T,) bool, which triangles of the meshes as given are upright, where that has been measured."""
+    return state.quality.upright if state.reference is None else None
+
+
+def _with_fewer_rows(job: Job, state: State, log: Log, layers: Layers, turn: int) -> State:
+    """The job with `layers` held; the meshes that stay tangled are tried again with fewer of their rows."""
+    held = _Held.of(state, layers.up_to(_SHARES[turn]))
+    every = torch.arange(len(state), device=state.meshes.device)
+    done = held.released(job(held.state, log.view(every, lambda mesh: _as_free(mesh, state.mesh))), state)
+    again = held.has_layers & ~done.valid
+    if not bool(again.any()):
+        return done
+    begun = state.select(again)
+    log.mark("whole", done.put(again, begun), again, kept=False)
+    view = log.view(again.nonzero().squeeze(1), lambda mesh: put(done.mesh, again, mesh))
+    if turn + 1 < len(_SHARES):
+        return done.put(again, _with_fewer_rows(job, begun, view, _of_meshes(layers, state, again), turn + 1))
+    note = dict.fromkeys(range(len(begun)), "; there is no room for its layers, which were not kept")
+    return done.put(again, job(begun, view).noted(note))
+
+
+def _of_meshes(layers: Layers, state: State, at: Tensor) -> Layers:
+    """The layers of the meshes `at` (B,) bool, with the rows of `state.select(at)`."""
+    mesh = state.given
+    layers = layers.select(at[vertex_mesh(mesh)[layers.corners[:, 0]]])
+    vertex, face = (torch.zeros(n, dtype=torch.int64, device=at.device) for n in (len(mesh.points), len(mesh.triangles)))
+    for new, offsets in ((vertex, mesh.point_offsets), (face, mesh.triangle_offsets)):
+        rows = rows_of(at, offsets)
+        new[rows] = torch.arange(len(rows), device=at.device)
+    return replace(
+        layers,
+        wall=3 * face[layers.wall // 3] + layers.wall % 3,
+        corners=vertex[layers.corners],
+        diagonal=vertex[layers.diagonal],
+        triangles=face[layers.triangles],
+    )
+
+
+def _as_free(mesh: MeshBatch, before: MeshBatch) -> MeshBatch:
+    """`mesh` with vertices and edges as free as in `before`, for the observer; not where vertices came and went."""
+    if len(mesh.points) != len(before.points):
+        return mesh
+    return replace(mesh, fixed=before.fixed, constrained_edges=before.constrained_edges)
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A state with its layers held.
+
+    state       that state
+    has_layers  (B,) bool, the meshes in which anything is held
+    added       (K,) int64, the keys of the edges that are constrained for the time being, by the rows of the origin
+    """
+
+    state: State
+    has_layers: Tensor
+    added: Tensor
+
+    @classmethod
+    def of(cls, state: State, layers: Layers) -> "_Held":
+        """`state` with these layers, which are those of its meshes or of their reference, at their walls and held."""
+        given, reference = state.given, state.reference
+        points = given.points
+        if reference is not None:
+            points = follow_walls(layers, reference.points, given.points).to(given.points.dtype)
+            layers = layers.unbroken(upright(given.with_points(points))[layers.triangles].all(1))
+            points = torch.where(layers.vertices(len(points))[:, None], points, given.points)
+        with_walls = layers.vertices(len(points))
+        with_walls[layers.corners.reshape(-1)] = True
+        # The walls are interfaces, in part; those hold still for their layers, even where they may move otherwise.
+        held = with_walls & ~given.fixed
+        rows = state.of_given_vertices(torch.arange(len(state.origin.mesh.points), device=points.device))
+        origin, edges = _origin(state.origin, rows, points, held, with_walls, layers.edges())
+        mesh = replace(state.mesh, points=points, fixed=state.mesh.fixed | held)
+        added = keys_of(rows[edges], len(state.origin.mesh.points))
+        mesh = replace(mesh, constrained_edges=torch.cat([mesh.constrained_edges, edges]))
+        owner = triangle_mesh(given)[layers.triangles[:, 0]]
+        has_layers = torch.zeros(len(state), dtype=torch.bool, device=points.device).index_fill_(0, owner, True)
+        curves = None if state.curves is None else state.curves.holding(with_walls, mesh.point_offsets)
+        begun = replace(state, origin=origin, curves=curves)
+        begun = replace(begun, mesh=mesh) if reference is None else begun.at(mesh)
+        return cls(begun.noted(_notes(layers, owner)), has_layers, added)
+
+    def released(self, done: State, before: State) -> State:
+        """`done`, what became of the held state, with vertices and edges as free as in `before`."""
+        origin, mesh = before.origin, done.mesh
+        if done.curves is not None and before.curves is not None:
+            done = replace(done, curves=replace(done.curves, slides=before.curves.slides))
+        if done.names is None:
+            mesh = replace(mesh, fixed=before.mesh.fixed, constrained_edges=before.mesh.constrained_edges)
+            return replace(done, mesh=mesh, origin=origin)
+        of, first = done.names.of, done.names.first
+        kept = of < first
+        fixed = torch.where(kept, origin.mesh.fixed[of.clamp_max(first - 1)], mesh.fixed)
+        ends = of[mesh.constrained_edges]
+        extra = (ends < first).all(1)
+        extra[extra.clone()] = torch.isin(keys_of(ends[extra], first), self.added)
+        mesh = replace(mesh, fixed=fixed, constrained_edges=mesh.constrained_edges[~extra])
+        return replace(done, mesh=mesh, origin=origin)
+
+
+def _origin(
+    origin: Given, rows: Tensor, points: Tensor, held: Tensor, with_walls: Tensor, edges: Tensor
+) -> tuple[Given, Tensor]:
+    """`origin` with the layers of some of its meshes held, and those of the `edges` (K, 2) that it did not have.
+
+    rows  (V,) int64 the rows of these meshes' vertices in the origin, which the other arguments are numbered by
+    """
+    mesh = origin.mesh
+    count = len(mesh.points)
+    keys = keys_of(rows[edges], count)
+    taken = torch.isin(keys, keys_of(mesh.constrained_edges, count)) | torch.isin(keys, _boundary_keys(mesh))
+    # Each edge once, in the order of keys, which is that of meshes.
+    keys = keys[~taken].unique()
+    new = torch.stack([keys // count, keys % count], 1)
+    back = torch.full((count,), -1, device=rows.device)
+    back[rows] = torch.arange(len(rows), device=rows.device)
+    all_held, layers = (torch.zeros(count, dtype=torch.bool, device=rows.device) for _ in range(2))
+    all_held[rows], layers[rows] = held, with_walls
+    mesh = replace(
+        mesh,
+        points=mesh.points.index_copy(0, rows, points.to(mesh.points.dtype)),
+        fixed=mesh.fixed | all_held,
+        constrained_edges=torch.cat([mesh.constrained_edges, new]),
+    )
+    return replace(origin, mesh=mesh, stays=origin.stays | layers, layers=layers), back[new]
+
+
+def _boundary_keys(mesh: MeshBatch) -> Tensor:
+    return keys_of(boundary_edges(mesh.triangles, mesh.twin), len(mesh.points))
+
+
+def _notes(layers: Layers, owner: Tensor) -> dict[int, str]:
+    """For the message of each mesh: how many rows its layers have, over how much wall, and how high they begin."""
+    notes = {}
+    for b in owner.unique().tolist():
+        mine = layers.select(owner == b)
+        texts = [
+            f"layer of {int(part.row.max())} over {int((part.row == 1).sum())} wall edges, first height "
+            f"{float(part.height[part.row == 1].median()):.2g}: kept"
+            for part in _by_wall(mine)
+        ]
+        more = f"; and {len(texts) - _NAMED} more layers" if len(texts) > _NAMED else ""
+        notes[b] = "; " + "; ".join(texts[:_NAMED]) + more
+    return notes
+
+
+def _by_wall(layers: Layers) -> list[Layers]:
+    """The layers of one mesh, one for each connected run of wall."""
+    first = layers.row == 1
+    feet = layers.corners[first, :2]
+    label = torch.arange(int(feet.max()) + 1, device=feet.device)
+    while True:
+        least = label[feet].amin(1)
+        lower = label.scatter_reduce(0, feet.reshape(-1), least.repeat_interleave(2), "amin")
+        lower = lower[lower]
+        if torch.equal(lower, label):
+            break
+        label = lower
+    of_wall = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.int64, device=feet.device)
+    of_wall[layers.wall[first]] = label[feet[:, 0]]
+    which = of_wall[layers.wall]
+    return [layers.select(which == k) for k in which.unique().tolist()]

@@ -1,0 +1,269 @@
+"""The layers of a mesh: rows of thin quadrilaterals, two triangles each, along a wall.
+
+    x-------x-------x-------x     A wall is the boundary, or one side of a chain of constrained edges.  Over each of
+    |     / |     / |     / |     its edges stands a strip of quadrilaterals, which is walked outwards row by row:
+    x-------x-------x-------x     two triangles are the next quadrilateral if they are upright and thin, and if their
+    |   /   |   /   |   /   |     columns rise steeply from the wall.  The foot of a vertex is the vertex of the wall
+    =========================     at the lower end of its column.
+            wall
+
+The meshers of boundary layers build such rows (Garimella & Shephard, Boundary layer mesh generation for viscous flow
+simulations, International Journal for Numerical Methods in Engineering 49, 2000).  Triangles that a motion has
+flattened are no layer: they have no columns, or the strips beside them are of other heights.
+"""
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from ..mesh.batch import MeshBatch, constrained_half_edges
+from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from ..mesh.measure import upright
+
+
+@dataclass(frozen=True)
+class LayerOptions:
+    """What counts as a layer.
+
+    first    the height of the first row is at most this part of the wall's edge below it
+    height   so is the height of each further row
+    lean     a column is at most so many times as long as its row is high; 2 is a lean of 60 degrees
+    turn     the cosine of the greatest angle between the lower and the upper edge of a quadrilateral
+    shrink   a row is at least this part of the row below it high: layers grow outwards
+    alike    the first rows of neighbouring strips differ in height by at most this factor
+    rows     a layer has at least so many rows somewhere nearby
+    """
+
+    first: float = 0.25
+    height: float = 0.5
+    lean: float = 2.0
+    turn: float = 0.5
+    shrink: float = 0.6
+    alike: float = 2.0
+    rows: int = 2
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if not getattr(self, f.name) > 0:
+                raise ValueError(f"LayerOptions.{f.name} must be positive, not {getattr(self, f.name)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """The quadrilaterals of all layers of a batch, N in number, those of a row together, the lowest row first.
+
+    wall       (N,) int64, the half-edge of the wall below
+    row        (N,) int64, 1 next to the wall
+    corners    (N, 4) int64, lower left, lower right, upper right, upper left, seen from the wall
+    diagonal   (N, 2) int64, the ends of the edge between its two triangles
+    triangles  (N, 2) int64, these triangles
+    height     (N,) float64, its area over the mean of its lower and upper edge
+    """
+
+    wall: Tensor
+    row: Tensor
+    corners: Tensor
+    diagonal: Tensor
+    triangles: Tensor
+    height: Tensor
+
+    def __len__(self) -> int:
+        return len(self.wall)
+
+    def select(self, keep: Tensor) -> "Layers":
+        """The quadrilaterals whose `keep` (N,) bool is true."""
+        return Layers(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def vertices(self, count: int) -> Tensor:
+        """(V,) bool, of `count` vertices: those above the wall."""
+        mask = torch.zeros(count, dtype=torch.bool, device=self.wall.device)
+        mask[self.corners[:, 2:].reshape(-1)] = True
+        return mask
+
+    def edges(self) -> Tensor:
+        """(K, 2) int64, each edge of the quadrilaterals and each diagonal once or twice."""
+        a, b, c, d = self.corners.unbind(1)
+        sides = [torch.stack(pair, 1) for pair in ((a, b), (b, c), (c, d), (d, a))]
+        return torch.cat([*sides, self.diagonal])
+
+    def up_to(self, share: float) -> "Layers":
+        """The lowest rows, this share of those of each strip, rounded up."""
+        return self.select(self.row <= (share * self._rows_of_strip()).ceil())
+
+    def unbroken(self, good: Tensor) -> "Layers":
+        """The quadrilaterals below the first one of their strip that is not `good` (N,) bool."""
+        none = torch.iinfo(torch.int64).max
+        first = torch.full((int(self.wall.max()) + 1 if len(self) else 0,), none, device=self.wall.device)
+        first.scatter_reduce_(0, self.wall[~good], self.row[~good], "amin")
+        return self.select(self.row < first[self.wall])
+
+    def _rows_of_strip(self) -> Tensor:
+        """(N,) the number of rows of each quadrilateral's strip."""
+        rows = self.row.new_zeros(int(self.wall.max()) + 1 if len(self) else 0)
+        return rows.scatter_reduce_(0, self.wall, self.row, "amax")[self.wall]
+
+
+def find_layers(batch: MeshBatch, options: LayerOptions | None = None, known: Tensor | None = None) -> Layers:
+    """The layers of every mesh of the batch.
+
+    known  (T,) bool, which triangles are upright, if the caller has measured it
+    """
+    options = options or LayerOptions()
+    walk = _Walk(batch, options)
+    walk.leave_high_triangles()
+    if not len(walk.front):
+        return _joined([], batch)
+    walk.free = upright(batch) if known is None else known.clone()
+    rows: list[Layers] = []
+    while len(walk.front):
+        quads = walk.next_row(len(rows) + 1)
+        if len(rows) < options.rows:
+            quads = quads.select(_in_company(quads, options))
+        walk.go_on(quads)
+        rows.append(quads)
+    return _rooted(_joined(rows, batch), options)
+
+
+class _Walk:
+    """The walk from the walls outwards, all strips at once; `front` are the half-edges at their upper ends."""
+
+    free: Tensor
+
+    def __init__(self, batch: MeshBatch, options: LayerOptions) -> None:
+        self.options = options
+        self.points = batch.points.to(torch.float64)
+        self.twin = batch.twin
+        # Half-edge 3 t + k runs from corner k of triangle t to the next one.
+        self.tail = batch.triangles.reshape(-1)
+        self.blocked = self.twin < 0
+        if len(batch.constrained_edges):
+            self.blocked = self.blocked | constrained_half_edges(batch)
+        self.front = self.wall = self.blocked.nonzero().squeeze(1)
+        self.length = self._length(self.wall)
+        self.below = torch.full_like(self.length, torch.inf)
+
+    def leave_high_triangles(self) -> None:
+        """Narrow the front to where the triangle at the wall is low enough for a first row: hardly any, mostly."""
+        h = self.front
+        p, q, apex = (self.points[self.tail[g]] for g in (h, next_in_triangle(h), previous_in_triangle(h)))
+        # Even where the upper edge of a quadrilateral is not parallel to the wall, its lower triangle is hardly twice
+        # as high as the whole.
+        low = _cross(q - p, apex - p) <= 2 * self.options.first * self.length * self.length
+        self.front, self.wall, self.length, self.below = (v[low] for v in (h, self.wall, self.length, self.below))
+
+    def head(self, h: Tensor) -> Tensor:
+        """The vertices at which the half-edges h end."""
+        return self.tail[next_in_triangle(h)]
+
+    def _length(self, h: Tensor) -> Tensor:
+        return (self.points[self.head(h)] - self.points[self.tail[h]]).norm(dim=1)
+
+    def next_row(self, row: int) -> Layers:
+        """The quadrilaterals on the front, each of the better of the two pairs of triangles that it may be."""
+        options = [self._quadrilaterals(row, falling) for falling in (True, False)]
+        (first, good, lean), (second, other_good, other_lean) = options
+        take_second = other_good & (~good | (other_lean < lean))
+        columns = {
+            f.name: torch.where(
+                take_second.reshape(-1, *[1] * (getattr(first, f.name).dim() - 1)),
+                getattr(second, f.name),
+                getattr(first, f.name),
+            )
+            for f in fields(Layers)
+        }
+        quads, good = Layers(**columns), good | other_good
+        # Of two strips that meet, neither goes on into what both claim.
+        claims = torch.bincount(quads.triangles[good].reshape(-1), minlength=len(self.free))
+        good = good & (claims[quads.triangles] == 1).all(1)
+        return quads.select(good)
+
+    def _quadrilaterals(self, row: int, falling: bool) -> tuple[Layers, Tensor, Tensor]:
+        """The quadrilaterals whose diagonal falls to the right or rises, whether they will do, and their lean, (S,)."""
+        h = self.front
+        onward, back = next_in_triangle(h), previous_in_triangle(h)
+        diagonal = onward if falling else back
+        across = self.twin[diagonal]
+        there = across.clamp_min(0)
+        u, w = self.tail[h], self.head(h)
+        apex, far = self.head(onward), self.head(next_in_triangle(there))
+        upper_left, upper_right = (apex, far) if falling else (far, apex)
+        pair = torch.stack([h // 3, there // 3], 1)
+        ends = torch.stack([self.tail[diagonal], self.head(diagonal)], 1)
+        p, q, r, s = (self.points[v] for v in (u, w, upper_right, upper_left))
+        lower, upper, left, right = q - p, r - s, s - p, r - q
+        a, b = lower.norm(dim=1), upper.norm(dim=1)
+        area = 0.5 * _cross(r - p, s - q)
+        height = area / (0.5 * (a + b))
+        column = torch.maximum(left.norm(dim=1), right.norm(dim=1))
+        o = self.options
+        limit = (o.first if row == 1 else o.height) * self.length
+        good = ~self.blocked[diagonal] & (across >= 0) & self.free[pair].all(1)
+        good &= (height > 0) & (height <= limit) & (column <= o.lean * height)
+        good &= (lower * upper).sum(1) >= o.turn * a * b
+        good &= (row == 1) | (height >= o.shrink * self.below)
+        rows = torch.full_like(h, row)
+        quads = Layers(self.wall, rows, torch.stack([u, w, upper_right, upper_left], 1), ends, pair, height)
+        return quads, good, column
+
+    def go_on(self, quads: Layers) -> None:
+        """The strips that have a quadrilateral in this row go on above it; the others end."""
+        self.free[quads.triangles.reshape(-1)] = False
+        order = torch.searchsorted(self.wall, quads.wall)
+        self.wall, self.length, self.below = quads.wall, self.length[order], quads.height
+        # The upper edge is in the second triangle, from right to left.
+        top = 3 * quads.triangles[:, 1:] + torch.arange(3, device=self.wall.device)
+        is_top = (self.tail[top] == quads.corners[:, 2:3]) & (self.head(top) == quads.corners[:, 3:])
+        top = top[is_top]
+        # At another wall, and at one side of an interface, the layer ends.
+        on = ~self.blocked[top]
+        self.front = self.twin[top][on]
+        self.wall, self.length, self.below = self.wall[on], self.length[on], self.below[on]
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _in_company(quads: Layers, options: LayerOptions) -> Tensor:
+    """(N,) bool: the quadrilateral of a first row is one of at least three of like height, side by side."""
+    count = len(quads)
+    neighbours = torch.full((count, 2), -1, device=quads.wall.device)
+    foot, top = quads.corners[:, :2], quads.corners[:, [3, 2]]
+    limit = int(quads.corners.max()) + 1 if count else 1
+    left, right = (foot[:, k] * limit + top[:, k] for k in (0, 1))
+    order = left.argsort()
+    place = torch.searchsorted(left[order], right).clamp_max(max(count - 1, 0))
+    if count:
+        after = order[place]
+        same = left[after] == right
+        ratio = quads.height[after] / quads.height
+        same &= (ratio <= options.alike) & (ratio * options.alike >= 1)
+        rows = same.nonzero().squeeze(1)
+        neighbours[rows, 1] = after[rows]
+        neighbours[after[rows], 0] = rows
+    there = neighbours >= 0
+    amid = there.all(1)
+    return amid | (there & amid[neighbours.clamp_min(0)]).any(1)
+
+
+def _rooted(layers: Layers, options: LayerOptions) -> Layers:
+    """The strips that have enough rows, or a strip beside them that has."""
+    if not len(layers):
+        return layers
+    enough = layers._rows_of_strip() >= options.rows
+    beside = torch.zeros(int(layers.corners.max()) + 1, dtype=torch.bool, device=enough.device)
+    beside[layers.corners[enough].reshape(-1)] = True
+    first = layers.row == 1
+    near = beside[layers.corners].any(1) & first
+    good = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.bool, device=enough.device)
+    good[layers.wall[enough | near]] = True
+    return layers.select(good[layers.wall])
+
+
+def _joined(rows: list[Layers], batch: MeshBatch) -> Layers:
+    """All rows in one."""
+    if rows:
+        return Layers(*(torch.cat([getattr(row, f.name) for row in rows]) for f in fields(Layers)))
+    none = torch.zeros(0, dtype=torch.int64, device=batch.points.device)
+    return Layers(none, none, none.reshape(0, 4), none.reshape(0, 2), none.reshape(0, 2), none.to(torch.float64))
