@@ -75,6 +75,9 @@ def write_examples(folder: Path) -> None:
     for part in ("a", "b"):
         (folder / "in" / part).mkdir(parents=True)
         write(folder / "in" / part / "mesh.vtu", meshes.jittered())
+    write(folder / "moved.vtu", meshes.moved_hole())
+    write(folder / "undeformed.vtu", MeshBatch.from_arrays(*meshes.holed_arrays()))
+    write(folder / "regions.msh", meshes.dragged_interface())
     write(folder / "better.vtu", meshes.equilateral())
     write(folder / "scanned.stl", meshes.jittered())
     points, triangles = meshes.grid_arrays(4, 4)

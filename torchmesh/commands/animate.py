@@ -21,6 +21,8 @@ from .shared_options import (
     QuietOption,
     Scope,
     ScopeOption,
+    Shapes,
+    ShapesOption,
     TitleOption,
     Topology,
     TopologyOption,
@@ -40,6 +42,7 @@ def animate(
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
+    shapes: ShapesOption = Shapes.auto,
     beta: BetaOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -54,7 +57,7 @@ def animate(
     from ..pictures.films import animate as write_film
     from ..pictures.films import check_film_path
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     check_distinct(source, film)
     check_film_path(film)
     observed = observe(open_mesh(source), options, quiet)

@@ -26,6 +26,8 @@ from .shared_options import (
     QuietOption,
     Scope,
     ScopeOption,
+    Shapes,
+    ShapesOption,
     StrictOption,
     Topology,
     TopologyOption,
@@ -87,6 +89,7 @@ def batch(
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
+    shapes: ShapesOption = Shapes.auto,
     fields: FieldsOption = Fields.interpolate,
     suffix: Annotated[
         str | None,
@@ -110,7 +113,7 @@ def batch(
     """
     from ..batches.runs import BUDGET, Run
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     try:
         run = Run.plan(
             sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value

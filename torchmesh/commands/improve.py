@@ -5,12 +5,14 @@ Nothing here imports torch before it is needed.
 
 import contextlib
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from . import console
+from .errors import UsageError
 from .shared_options import (
     BetaOption,
     Boundary,
@@ -24,6 +26,8 @@ from .shared_options import (
     QuietOption,
     Scope,
     ScopeOption,
+    Shapes,
+    ShapesOption,
     StrictOption,
     ThreadsOption,
     Topology,
@@ -36,6 +40,7 @@ from .targets import check_distinct, check_mesh_target
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
     from ..files.time_series import SeriesDraft
+    from ..mesh.batch import MeshBatch
     from ..mesh.regions import RegionAreas
 
 EXAMPLES = (
@@ -46,6 +51,7 @@ EXAMPLES = (
     "torchmesh improve stretched.vtu better.vtu --scope damage",
     "torchmesh improve regions.msh better.msh --interfaces free",
     "torchmesh improve moved.vtu better.vtu --fields carry",
+    "torchmesh improve moved.vtu better.vtu --reference undeformed.vtu",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
     "torchmesh improve plate.inp better.inp --strict",
 )
@@ -64,6 +70,16 @@ def improve(
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
+    shapes: ShapesOption = Shapes.auto,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The mesh before it was deformed, with the same triangles in the same order. Its shapes and sizes are "
+            "then the aim: layers follow their walls, and keep their heights.",
+            show_default=False,
+        ),
+    ] = None,
     beta: BetaOption = None,
     fields: FieldsOption = Fields.interpolate,
     report: Annotated[
@@ -91,12 +107,14 @@ def improve(
     """
     from ..batches.file_improvement import improve_series, open_mesh
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     _check_targets(source, target, report, plot)
     use_threads(threads)
 
     started = time.perf_counter()
     given = open_mesh(source)
+    if reference is not None:
+        options = replace(options, reference=_in_the_same_plane(reference, given.batch))
     with console.progress(quiet) as show:
         (improved,) = improve_series([given], options, fields=fields.value, progress=show)
         seconds = time.perf_counter() - started
@@ -116,6 +134,8 @@ def improve(
             "boundary": boundary.value,
             "interfaces": options.at_interfaces,
             "scope": scope.value,
+            "shapes": shapes.value,
+            "reference": None if reference is None else str(reference),
             "beta": beta,
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
@@ -130,6 +150,25 @@ def improve(
         if str(draft.fields):
             console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
     return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0])
+
+
+def _in_the_same_plane(path: Path, batch: "MeshBatch") -> "MeshBatch":
+    """The mesh in the file `path`, with coordinates in the plane of `batch`; raises UsageError if it lies elsewhere."""
+    import torch
+
+    from ..files.mesh_files import read
+    from ..mesh.batch import lift
+
+    found = read(path)
+    origin, *axes = batch.frames[0]
+    step = lift(found).to(torch.float64) - origin
+    flat = torch.stack([step @ axis for axis in axes], 1)
+    beside = (step - flat @ torch.stack(axes)).abs().max()
+    if float(beside) > 1e-6 * float(flat.abs().max()):
+        raise UsageError(f"{path}: the reference lies in another plane than the mesh")
+    # Where the planes are the same, the coordinates are, to the bit.
+    flat = found.points if torch.equal(found.frames, batch.frames) else flat
+    return replace(found.with_points(flat), frames=batch.frames)
 
 
 def _print_regions(regions: "RegionAreas") -> None:

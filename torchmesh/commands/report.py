@@ -22,6 +22,8 @@ from .shared_options import (
     QuietOption,
     Scope,
     ScopeOption,
+    Shapes,
+    ShapesOption,
     TitleOption,
     Topology,
     TopologyOption,
@@ -61,6 +63,7 @@ def report(
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
+    shapes: ShapesOption = Shapes.auto,
     beta: BetaOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -77,7 +80,7 @@ def report(
     from ..mesh.measure import quality
     from ..pictures.page import report_page
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a page's name ends in .html")
     check_distinct(source, target, page)

@@ -66,6 +66,13 @@ class InterfaceChoice(str, Enum):
     free = "free"
 
 
+class Shapes(str, Enum):
+    """Which shapes triangles should have."""
+
+    auto = "auto"
+    equilateral = "equilateral"
+
+
 class Fields(str, Enum):
     """What becomes of the fields of a file."""
 
@@ -124,6 +131,15 @@ InterfacesOption = Annotated[
 ]
 
 
+ShapesOption = Annotated[
+    Shapes,
+    typer.Option(
+        help="auto: layers are kept, that is rows of thin elements along a wall or an interface; elsewhere triangles "
+        "should be equilateral. equilateral: everywhere, and layers go."
+    ),
+]
+
+
 BetaOption = Annotated[
     float | None,
     typer.Option(
@@ -168,6 +184,7 @@ def improve_options(
     boundary: Boundary = Boundary.fixed,
     interfaces: InterfaceChoice | None = None,
     scope: Scope = Scope.all,
+    shapes: Shapes = Shapes.auto,
 ) -> "ImproveOptions":
     """The options of `improve` that the options of a command stand for; raises UsageError."""
     from ..improving.options import ImproveOptions
@@ -179,6 +196,7 @@ def improve_options(
     chosen: dict[str, Any] = {
         "topology": topology.value,
         "boundary": boundary.value,
+        "shapes": shapes.value,
         "interfaces": None if interfaces is None else interfaces.value,
         "scope": scope.value,
     }

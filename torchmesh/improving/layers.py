@@ -66,10 +66,7 @@ def _of_meshes(layers: Layers, state: State, at: Tensor) -> Layers:
     """The layers of the meshes `at` (B,) bool, with the rows of `state.select(at)`."""
     mesh = state.given
     layers = layers.select(at[vertex_mesh(mesh)[layers.corners[:, 0]]])
-    vertex, face = (torch.zeros(n, dtype=torch.int64, device=at.device) for n in (len(mesh.points), len(mesh.triangles)))
-    for new, offsets in ((vertex, mesh.point_offsets), (face, mesh.triangle_offsets)):
-        rows = rows_of(at, offsets)
-        new[rows] = torch.arange(len(rows), device=at.device)
+    vertex, face = (_new_rows(at, offsets) for offsets in (mesh.point_offsets, mesh.triangle_offsets))
     return replace(
         layers,
         wall=3 * face[layers.wall // 3] + layers.wall % 3,
@@ -84,6 +81,13 @@ def _as_free(mesh: MeshBatch, before: MeshBatch) -> MeshBatch:
     if len(mesh.points) != len(before.points):
         return mesh
     return replace(mesh, fixed=before.fixed, constrained_edges=before.constrained_edges)
+
+
+def _new_rows(at: Tensor, offsets: Tensor) -> Tensor:
+    """(N,) int64 the row that each row of the meshes `at` (B,) bool has once the other meshes are gone; 0 for those."""
+    new = torch.zeros(int(offsets[-1]), dtype=torch.int64, device=at.device)
+    rows = rows_of(at, offsets)
+    return new.index_copy(0, rows, torch.arange(len(rows), device=at.device))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +126,7 @@ class _Held:
         curves = None if state.curves is None else state.curves.holding(with_walls, mesh.point_offsets)
         begun = replace(state, origin=origin, curves=curves)
         begun = replace(begun, mesh=mesh) if reference is None else begun.at(mesh)
-        return cls(begun.noted(_notes(layers, owner)), has_layers, added)
+        return cls(begun.noted(_notes(layers, owner, points)), has_layers, added)
 
     def released(self, done: State, before: State) -> State:
         """`done`, what became of the held state, with vertices and edges as free as in `before`."""
@@ -173,19 +177,25 @@ def _boundary_keys(mesh: MeshBatch) -> Tensor:
     return keys_of(boundary_edges(mesh.triangles, mesh.twin), len(mesh.points))
 
 
-def _notes(layers: Layers, owner: Tensor) -> dict[int, str]:
+def _notes(layers: Layers, owner: Tensor, points: Tensor) -> dict[int, str]:
     """For the message of each mesh: how many rows its layers have, over how much wall, and how high they begin."""
     notes = {}
     for b in owner.unique().tolist():
         mine = layers.select(owner == b)
         texts = [
             f"layer of {int(part.row.max())} over {int((part.row == 1).sum())} wall edges, first height "
-            f"{float(part.height[part.row == 1].median()):.2g}: kept"
+            f"{float(_columns(part, points).median()):.2g}: kept"
             for part in _by_wall(mine)
         ]
         more = f"; and {len(texts) - _NAMED} more layers" if len(texts) > _NAMED else ""
         notes[b] = "; " + "; ".join(texts[:_NAMED]) + more
     return notes
+
+
+def _columns(layers: Layers, points: Tensor) -> Tensor:
+    """The lengths of the columns of the first row."""
+    foot, top = (points[layers.corners[layers.row == 1, k]] for k in (0, 3))
+    return (top - foot).norm(dim=1)
 
 
 def _by_wall(layers: Layers) -> list[Layers]:

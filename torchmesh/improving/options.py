@@ -136,10 +136,11 @@ class ImproveOptions:
     untangle_rounds   the greatest number of rounds of flipping and untangling
     smooth_rounds     the greatest number of rounds of flipping and smoothing of a valid mesh
     rounds, refine    when these rounds end, and what they leave alone
-    shapes            which shapes triangles should have: "auto", equilateral, but layers are kept: rows of elements
-                      along a wall or interface whose heights are a small part of the wall's edges.  Their heights and
-                      numbers stay, and they follow their walls where a reference is given; "equilateral": all of them.
-                      Targets, and method "paper", have no layers
+    shapes            which shapes triangles should have.  "auto": equilateral ones, with two exceptions.  Layers, rows
+                      of elements along a wall or interface whose heights are a small part of the wall's edges, keep
+                      their heights and numbers, and follow their walls if a reference is given; and a valid mesh that
+                      is stretched throughout aims at its own shapes.  "equilateral": no exceptions; so too where
+                      targets are given, and with method "paper"
     reference         the same meshes undeformed, with the same triangles, if the caller has them.  Tangled interiors
                       are then first warped from those of the reference by FEMWARP, and the last untangling aims at each
                       triangle's undeformed shape and size.  A reference is refused if edges have flipped since
@@ -248,8 +249,8 @@ class ImproveOptions:
         return not far and self.method == "default"
 
     @property
-    def keeps_layers(self) -> bool:
-        """Whether layers of thin triangles along walls are kept."""
+    def keeps_shapes(self) -> bool:
+        """Whether layers, and meshes that are stretched throughout, keep their shapes."""
         return self.shapes == "auto" and self.method == "default" and self.smooth.targets is None
 
     @property

@@ -30,6 +30,7 @@ from .report import Progress, Report, left_over
 from .runner import Job, Log
 from .state import Edits, State
 from .strategies import INTERFACES_HELD, improve_batch
+from .stretched import keeping_stretch
 from .travel import travel_of
 
 if TYPE_CHECKING:
@@ -116,8 +117,8 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
     job: Job = partial(improve_damage if options.scope == "damage" else improve_batch, options=options)
     if options.local and options.scope == "all":
         job = on_submeshes(job, options)
-    if options.keeps_layers:
-        job = keeping_layers(job)
+    if options.keeps_shapes:
+        job = keeping_layers(keeping_stretch(job, options))
     return in_processes(job, workers) if workers > 1 else job
 
 

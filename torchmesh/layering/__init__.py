@@ -1,4 +1,7 @@
 """Layers of thin triangles along walls: where a mesh has them, and how they follow their walls.
 
-What lives here may import mesh.
+    layers     rows of thin quadrilaterals, found by walking outwards from the walls
+    following  each vertex of a layer carried along with the wall below it
+
+Imports from `mesh`.
 """

@@ -1,10 +1,10 @@
 """Layers that follow their walls: each vertex is carried along rigidly with the wall below it.
 
-        before                         after
-    n------                             \\  n
-    |  d                                 \\/ \\       The way d from the foot to the vertex is turned as the wall
-    f=====u     the wall turns          /f    \\      at the foot turns, and keeps its length: heights stay what
-                                              \\u    they were, whatever the wall does.
+    before                         after
+n------                             \\  n
+|  d                                 \\/ \\       The way d from the foot to the vertex is turned as the wall
+f=====u     the wall turns          /f    \\      at the foot turns, and keeps its length: heights stay what
+                                          \\u    they were, whatever the wall does.
 """
 
 import torch

@@ -31,7 +31,7 @@ class LayerOptions:
     lean     a column is at most so many times as long as its row is high; 2 is a lean of 60 degrees
     turn     the cosine of the greatest angle between the lower and the upper edge of a quadrilateral
     shrink   a row is at least this part of the row below it high: layers grow outwards
-    alike    the first rows of neighbouring strips differ in height by at most this factor
+    alike    the first rows of neighbouring strips, and the columns beside them, differ by at most this factor
     rows     a layer has at least so many rows somewhere nearby
     """
 
@@ -39,7 +39,7 @@ class LayerOptions:
     height: float = 0.5
     lean: float = 2.0
     turn: float = 0.5
-    shrink: float = 0.6
+    shrink: float = 0.8
     alike: float = 2.0
     rows: int = 2
 
@@ -114,23 +114,40 @@ def find_layers(batch: MeshBatch, options: LayerOptions | None = None, known: Te
     walk.leave_high_triangles()
     if not len(walk.front):
         return _joined([], batch)
-    walk.free = upright(batch) if known is None else known.clone()
-    rows: list[Layers] = []
+    is_upright = upright(batch) if known is None else known
+    found = _walked(walk, batch, is_upright)
+    walls = found.wall.unique()
+    if 0 < len(walls) < len(walk.begun):
+        # Strips that came to nothing may have stood in the way of others.
+        found = _walked(_Walk(batch, options, walls), batch, is_upright)
+    return found
+
+
+def _walked(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
+    """What a walk finds among the triangles that are upright (T,) bool."""
+    options, rows = walk.options, list[Layers]()
+    walk.free = is_upright.clone()
     while len(walk.front):
         quads = walk.next_row(len(rows) + 1)
         if len(rows) < options.rows:
             quads = quads.select(_in_company(quads, options))
+        walk.begun = walk.begun if rows else quads.wall
         walk.go_on(quads)
         rows.append(quads)
     return _rooted(_joined(rows, batch), options)
 
 
 class _Walk:
-    """The walk from the walls outwards, all strips at once; `front` are the half-edges at their upper ends."""
+    """The walk from the walls outwards, all strips at once.
+
+    front  (S,) int64, the half-edges at their upper ends
+    begun  (N,) int64, the walls on which a first row stands
+    free   (T,) bool, the upright triangles that belong to no strip
+    """
 
     free: Tensor
 
-    def __init__(self, batch: MeshBatch, options: LayerOptions) -> None:
+    def __init__(self, batch: MeshBatch, options: LayerOptions, walls: Tensor | None = None) -> None:
         self.options = options
         self.points = batch.points.to(torch.float64)
         self.twin = batch.twin
@@ -139,7 +156,7 @@ class _Walk:
         self.blocked = self.twin < 0
         if len(batch.constrained_edges):
             self.blocked = self.blocked | constrained_half_edges(batch)
-        self.front = self.wall = self.blocked.nonzero().squeeze(1)
+        self.front = self.wall = self.begun = self.blocked.nonzero().squeeze(1) if walls is None else walls
         self.length = self._length(self.wall)
         self.below = torch.full_like(self.length, torch.inf)
 
@@ -201,7 +218,10 @@ class _Walk:
         good = ~self.blocked[diagonal] & (across >= 0) & self.free[pair].all(1)
         good &= (height > 0) & (height <= limit) & (column <= o.lean * height)
         good &= (lower * upper).sum(1) >= o.turn * a * b
-        good &= (row == 1) | (height >= o.shrink * self.below)
+        if row == 1:
+            good &= column <= o.alike * torch.minimum(left.norm(dim=1), right.norm(dim=1))
+        else:
+            good &= height >= o.shrink * self.below
         rows = torch.full_like(h, row)
         quads = Layers(self.wall, rows, torch.stack([u, w, upper_right, upper_left], 1), ends, pair, height)
         return quads, good, column
@@ -253,9 +273,9 @@ def _rooted(layers: Layers, options: LayerOptions) -> Layers:
         return layers
     enough = layers._rows_of_strip() >= options.rows
     beside = torch.zeros(int(layers.corners.max()) + 1, dtype=torch.bool, device=enough.device)
-    beside[layers.corners[enough].reshape(-1)] = True
     first = layers.row == 1
-    near = beside[layers.corners].any(1) & first
+    beside[layers.corners[enough & first, :2].reshape(-1)] = True
+    near = beside[layers.corners[:, :2]].any(1) & first
     good = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.bool, device=enough.device)
     good[layers.wall[enough | near]] = True
     return layers.select(good[layers.wall])
