@@ -77,6 +77,8 @@ def write_examples(folder: Path) -> None:
         write(folder / "in" / part / "mesh.vtu", meshes.jittered())
     write(folder / "moved.vtu", meshes.moved_hole())
     write(folder / "undeformed.vtu", MeshBatch.from_arrays(*meshes.holed_arrays()))
+    tangled = meshes.moved_hole()
+    write(folder / "stretched.vtu", tangled.with_points(tangled.points * tangled.points.new_tensor([4.0, 1.0])))
     write(folder / "regions.msh", meshes.dragged_interface())
     write(folder / "better.vtu", meshes.equilateral())
     write(folder / "scanned.stl", meshes.jittered())

@@ -118,7 +118,8 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
     if options.local and options.scope == "all":
         job = on_submeshes(job, options)
     if options.keeps_shapes:
-        job = keeping_layers(keeping_stretch(job, options))
+        # Damage is judged by the shapes around it, whatever they are.
+        job = keeping_layers(keeping_stretch(job, options) if options.scope == "all" else job)
     return in_processes(job, workers) if workers > 1 else job
 
 
