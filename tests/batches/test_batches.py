@@ -110,6 +110,15 @@ def test_a_mesh_that_cannot_be_mended_is_written_and_said(tmp_path):
     assert Path(result.output).exists()
 
 
+def test_a_folded_quad_makes_a_mesh_invalid(tmp_path):
+    points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [0.2, -0.5, 0], [2, 1, 0.0]])
+    cells = [("quad", np.array([[0, 1, 4, 3]])), ("triangle", np.array([[1, 2, 5], [1, 5, 4]]))]
+    meshio.Mesh(points, cells).write(tmp_path / "folded.vtk", file_format="vtk42", binary=False)
+    (result,) = improve_jobs([job(tmp_path, "folded.vtk")], ImproveOptions(), 1000)
+    assert (result.valid, result.inverted_after) == (False, 1)
+    assert "1 quads have a corner that is not upright" in result.message
+
+
 def test_a_batch_that_fails_is_done_mesh_by_mesh(jobs, monkeypatch):
     """No mesh should make `improve` raise; if one does, the others do not pay for it."""
 

@@ -10,6 +10,7 @@ import meshes
 import meshio
 import numpy as np
 import pytest
+import torch
 from children import started
 from command_line import Outcome, inverted, names, process
 
@@ -261,3 +262,27 @@ def test_scope_damage_leaves_the_rest_to_the_bit(tmp_path):
     moved = (meshio.read(tmp_path / "out.vtu").points != points).any(1)
     assert 0 < moved.sum() <= len(points) / 8
     assert json.loads((tmp_path / "r.json").read_text())["scope"] == "damage"
+
+
+def test_a_folded_quad_is_told_and_nothing_is_certified(call, folder):
+    done = call("improve", "folded.vtk", "out.vtk", "--report", "report.json")
+    assert done.status == 1
+    assert "not valid: 1 inverted quad in out.vtk; the vertices of quads are held" in done.err
+    report = json.loads((folder / "report.json").read_text())
+    assert (report["valid"], report["certified"]) == (False, False)
+    assert (report["before"]["inverted_quads"], report["after"]["inverted_quads"]) == (1, 1)
+
+
+def test_the_shapes_of_a_reference_are_kept(call, folder):
+    from layered import first_heights, round_body, turned_body
+
+    body = round_body(sides=16, rows=5, growth=2.0, around=3)
+    write(folder / "body.vtu", body)
+    write(folder / "turned.vtu", turned_body(body, 16, 20.0))
+    done = call("improve", "turned.vtu", "out.vtu", "--reference", "body.vtu")
+    assert done.status == 0, done
+    assert torch.allclose(first_heights(read(folder / "out.vtu"), 16), first_heights(body, 16), rtol=1e-6)
+    write(folder / "other.vtu", round_body(sides=17))
+    done = call("improve", "turned.vtu", "out.vtu", "--reference", "other.vtu")
+    assert done.status == 2
+    assert "the reference has" in done.err

@@ -123,3 +123,14 @@ def test_quality_goes_on_after_a_bad_file(call):
         ["error", " empty.vtu"],
     ]
     assert "better.vtu" in done.out
+
+
+def test_a_folded_quad_is_inverted_and_decides_the_exit_status(call):
+    done = call("quality", "folded.vtk", "--json")
+    (record,) = json.loads(done.out)
+    assert done.status == 1
+    assert (record["inverted"], record["quads"], record["inverted_quads"]) == (0, 1, 1)
+    assert record["rows_of_inverted_quads"] == [0]
+    done = call("quality", "folded.vtk")
+    assert done.status == 1
+    assert "inverted quads of folded.vtk: rows 0" in done.out

@@ -56,6 +56,20 @@ class ImprovedFile:
     vertex_maps: list[VertexMap] | None
     fields: FieldChoice = "interpolate"
 
+    def inverted_quads(self) -> int:
+        """How many quads of the file, in all its meshes, have a corner that is not upright."""
+        count = 0
+        for b, mesh in enumerate(self.meshes):
+            source = self.given.sources[self.given.mesh_of_step.index(b)]
+            if not len(source.quads):
+                continue
+            points = mesh.points
+            if self.vertex_maps is not None:
+                # Vertices of quads are fixed, so none of them goes.
+                points = points[self.vertex_maps[b].old_to_new.clamp_min(0)]
+            count += len(source.inverted_quads(points))
+        return count
+
     def draft(self, path: str | os.PathLike[str]) -> SeriesDraft:
         """The file with the improved meshes in their steps, ready to be written; raises as `write_series` does.
 

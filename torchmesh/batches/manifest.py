@@ -33,7 +33,7 @@ class FileResult:
     file        the input, as it was given
     output      the mesh file that was written; None when none was
     status      a `Status` in lower case, or "error"
-    valid       whether no triangle is inverted
+    valid       whether no triangle and no quad is inverted
     error       what went wrong, in one line; None when a mesh was written
     message     why `improve` ended
     vertices, triangles                      counts of the input, over all meshes of a time series

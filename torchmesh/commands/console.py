@@ -162,27 +162,38 @@ def version() -> str:
     return version("torchmesh-untangle")
 
 
-def verdict(where: str, q: "Quality", message: str = "") -> int:
+# Why inverted quads are still there.
+QUADS_STAY = "the vertices of quads are held, so a quad with a corner that is not upright is not mended"
+
+
+def verdict(where: str, q: "Quality", message: str = "", quads: int = 0) -> int:
     """Says it if a mesh has inverted triangles, and returns the exit status: 1 if it has any, else 0.
 
     where    words that follow the count, as "in better.vtu"
     message  why the improvement ended, if that is known
+    quads    inverted quads, which are as bad as inverted triangles
     """
     inverted = int(q.inverted.sum())
     if inverted:
         reason = f" ({message})" if message else ""
         say(f"not valid: {counted(inverted, 'inverted triangle')} {where}{reason}")
-    return int(inverted > 0)
+    if quads:
+        say(f"not valid: {counted(quads, 'inverted quad')} {where}; {QUADS_STAY}")
+    return int(inverted + quads > 0)
 
 
-def record(mesh: "MeshBatch", q: "Quality") -> dict[str, Any]:
-    """Counts and quality of a batch of one mesh, as plain values."""
+def record(mesh: "MeshBatch", q: "Quality", quads: tuple[int, int] | None = None) -> dict[str, Any]:
+    """Counts and quality of a batch of one mesh, as plain values.
+
+    quads  how many quads the file has, and how many of them are inverted; None or (0, 0): it has none
+    """
     from ..mesh.measure import minimum_angle
 
     return {
         "triangles": len(mesh.triangles),
         "vertices": len(mesh.points),
         "inverted": int(q.inverted.sum()),
+        **({"quads": quads[0], "inverted_quads": quads[1]} if quads is not None and quads[0] else {}),
         "imr_average": float(q.mean[0]),
         "imr_maximum": float(q.max[0]),
         "minimum_angle": float(minimum_angle(mesh)[0]),
@@ -213,6 +224,9 @@ def print_comparison(title: str, columns: dict[str, dict[str, Any]]) -> None:
         ("minimum angle (degrees)", "minimum_angle"),
     ):
         made.add_row(label, *(number(record[key]) for record in columns.values()))
+        if key == "inverted" and any("quads" in record for record in columns.values()):
+            for extra in ("quads", "inverted_quads"):
+                made.add_row(extra.replace("_", " "), *(number(r.get(extra, 0)) for r in columns.values()))
     stdout().print(made)
 
 

@@ -40,6 +40,7 @@ from .targets import check_distinct, check_mesh_target
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
     from ..files.time_series import SeriesDraft
+    from ..improving.report import Report
     from ..mesh.batch import MeshBatch
     from ..mesh.regions import RegionAreas
 
@@ -121,9 +122,10 @@ def improve(
         draft = improved.draft(target)
         if strict:
             draft.refuse()
+        (read,), quads = given.sources, improved.inverted_quads()
         columns = {
-            "before": console.record(given.batch, improved.before),
-            "after": console.record(improved.meshes[0], improved.report.quality),
+            "before": console.record(given.batch, improved.before, (len(read.quads), len(read.inverted_quads()))),
+            "after": console.record(improved.meshes[0], improved.report.quality, (len(read.quads), quads)),
         }
         document = {
             "torchmesh": console.version(),
@@ -140,7 +142,7 @@ def improve(
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
             **columns,
-            **{key: value for key, value in improved.report.to_dict()[0].items() if key != "mesh"},
+            **_outcome(improved.report, quads),
         }
         _write(improved, draft, report, document, plot, f"{source.name}: before and after")
     if not quiet:
@@ -149,7 +151,15 @@ def improve(
             _print_regions(improved.report.regions)
         if str(draft.fields):
             console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
-    return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0])
+    return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0], quads)
+
+
+def _outcome(report: "Report", quads: int) -> dict[str, Any]:
+    """The record of the report on the one mesh; with inverted quads the mesh is neither valid nor certified."""
+    record = {key: value for key, value in report.to_dict()[0].items() if key != "mesh"}
+    if quads:
+        record |= {"valid": False, "certified": False, "message": f"{record['message']}; {console.QUADS_STAY}"}
+    return record
 
 
 def _in_the_same_plane(path: Path, batch: "MeshBatch") -> "MeshBatch":

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from ..mesh.measure import Quality
     from ..remeshing.sizing import Sizes
 
+# So many rows of inverted quads are printed; --json has all.
+_SHOWN = 20
+
 EXAMPLES = (
     "torchmesh quality tangled.vtu better.vtu",
     "torchmesh quality tangled.vtu --worst 3",
@@ -57,8 +60,8 @@ def quality(
     """Measure meshes: inverted triangles, shapes, and where the worst ones are.
 
     IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0. The worst are
-    the inverted triangles, largest first, then those of the highest IMR. The exit status is 1 if any triangle of any
-    file is inverted (an area of zero included).
+    the inverted triangles, largest first, then those of the highest IMR. A quad is inverted if one of its corners is
+    not upright. The exit status is 1 if any triangle or quad of any file is inverted (an area of zero included).
     """
     from ..errors import MeshError
     from ..files.source import Source
@@ -80,7 +83,7 @@ def quality(
         _print(records)
     if unread:
         return 2
-    return int(any(record["inverted"] for record in records))
+    return int(any(record["inverted"] + record.get("inverted_quads", 0) for record in records))
 
 
 def _metric_names(option: str | None) -> list[str]:
@@ -104,7 +107,14 @@ def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -
 
     mesh = source.mesh
     q = measure(mesh)
-    record = {"file": str(source.path), **console.record(mesh, q), "worst": _worst(mesh, q, worst)}
+    folded = source.inverted_quads().tolist()
+    record = {
+        "file": str(source.path),
+        **console.record(mesh, q, (len(source.quads), len(folded))),
+        "worst": _worst(mesh, q, worst),
+    }
+    if len(source.quads):
+        record["rows_of_inverted_quads"] = folded
     if sizes is not None:
         record["edge_length_over_size"] = _size_record(mesh, _sizes_wanted(sizes, source))
     if names:
@@ -185,6 +195,11 @@ def _print(records: list[dict[str, Any]]) -> None:
     for record in records:
         if record["worst"]:
             console.stdout().print(_worst_table(record))
+    for record in records:
+        if record.get("inverted_quads"):
+            rows = record["rows_of_inverted_quads"]
+            shown = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
+            console.stdout().print(f"inverted quads of {record['file']}: rows {shown}", markup=False, soft_wrap=True)
 
 
 def _files_table(records: list[dict[str, Any]]) -> Any:
@@ -194,16 +209,22 @@ def _files_table(records: list[dict[str, Any]]) -> Any:
     table.add_column("file", overflow="fold")
     for name in ("triangles", "inverted", "IMR average", "IMR maximum", "minimum angle"):
         table.add_column(name, justify="right")
+    mixed = any("quads" in record for record in records)
+    if mixed:
+        table.add_column("quads", justify="right")
+        table.add_column("inverted quads", justify="right")
     sized = "edge_length_over_size" in records[0]
     if sized:
         table.add_column("edge length / size: mean (5 - 95 %)", justify="right")
     for r in records:
         numbers = (r[k] for k in ("triangles", "inverted", "imr_average", "imr_maximum", "minimum_angle"))
         cells = [console.number(value) for value in numbers]
+        if mixed:
+            cells += [console.number(r.get(key, 0)) for key in ("quads", "inverted_quads")]
         if sized:
             mean, low, high = (f"{r['edge_length_over_size'][k]:.2f}" for k in ("mean", "p5", "p95"))
             cells.append(f"{mean} ({low} - {high})")
-        table.add_row(Text(r["file"]), *cells, style="red" if r["inverted"] else None)
+        table.add_row(Text(r["file"]), *cells, style="red" if r["inverted"] + r.get("inverted_quads", 0) else None)
     return table
 
 

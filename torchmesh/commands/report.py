@@ -97,7 +97,8 @@ def report(
         typer.echo(f"{page}: {extent}, {page.stat().st_size / 1e6:.1f} MB")
         if note is not None:
             console.say(note)
-    return console.verdict(f"in {target}", quality(after))
+    quads = len(given.sources[0].inverted_quads(after.points)) if len(after.points) >= len(given.batch.points) else 0
+    return console.verdict(f"in {target}", quality(after), quads=quads)
 
 
 def _make(

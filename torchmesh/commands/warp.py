@@ -137,20 +137,27 @@ def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, 
     mesh = given.batch
     with _file_named(given):
         warped = femwarp(mesh, boundary)
-    after = quality(warped)
-    columns = {"undeformed": console.record(mesh, quality(mesh)), "warped": console.record(warped, after)}
+    after, source = quality(warped), given.sources[0]
+    quads = len(source.inverted_quads(warped.points))
+    columns = {
+        "undeformed": console.record(mesh, quality(mesh), (len(source.quads), len(source.inverted_quads()))),
+        "warped": console.record(warped, after, (len(source.quads), quads)),
+    }
     if not improve_too:
         _save(draft_series(target, warped, given), strict)
     else:
         with console.progress(quiet) as show:
             (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
         after = improved.report.quality
-        columns["improved"] = console.record(improved.meshes[0], after)
+        quads = improved.inverted_quads()
+        columns["improved"] = console.record(improved.meshes[0], after, (len(source.quads), quads))
         _save(improved.draft(target), strict)
     if not quiet:
         console.print_comparison(str(target), columns)
     if improve_too:
-        return console.verdict(f"in {target}", after, improved.report.messages[0])
+        return console.verdict(f"in {target}", after, improved.report.messages[0], quads)
+    if quads:
+        console.say(f"{console.counted(quads, 'inverted quad')} in {target}; {console.QUADS_STAY} by improve")
     inverted = int(after.inverted.sum())
     if inverted:
         console.say(

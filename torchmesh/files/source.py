@@ -3,6 +3,7 @@
 import os
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import torch
 from ..errors import InvalidMeshError, MeshIOError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.quads import inverted_quads, oriented_quads
 from .content import Content
 from .documents import load
 from .formats.format import Document
@@ -44,6 +46,21 @@ class Source:
         with in_one_line(path):
             content = Content.of(document, path)
             return cls(path, document, content, _batch(content, path))
+
+    @cached_property
+    def quads(self) -> torch.Tensor:
+        """(Q, 4) int64, the quads of the file in its order, wound as the triangles of `mesh` are."""
+        rows = [block.data for block in self.content.mesh.cells if block.type == "quad"]
+        quads = torch.from_numpy(np.concatenate([np.zeros((0, 4), np.int64), *rows]))
+        return oriented_quads(self.mesh.points, self.mesh.triangles, quads) if len(quads) else quads
+
+    def inverted_quads(self, points: torch.Tensor | None = None) -> torch.Tensor:
+        """(K,) int64, the quads with a corner that is not upright, by their row among the quads.
+
+        points  (V, 2) where the vertices are now; None: where they are in the file.  Added vertices may follow
+        """
+        there = self.mesh.points if points is None else points
+        return inverted_quads(there, self.quads).nonzero().squeeze(1)
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
