@@ -26,6 +26,7 @@ import torchmesh as tm
 from experiments.shared import arguments
 from experiments.shared.exact_check import double_areas, inverted
 from torchmesh.mesh import connectivity
+from torchmesh.mesh.interfaces import holding
 
 Array = np.ndarray
 
@@ -60,7 +61,7 @@ def domain(rng: np.random.Generator) -> tm.MeshBatch | None:
 def scatter(mesh: tm.MeshBatch, rng: np.random.Generator) -> tm.MeshBatch:
     """The same mesh with its free vertices anywhere."""
     points = mesh.points.numpy().copy()
-    free = np.flatnonzero(~mesh.fixed.numpy())
+    free = np.flatnonzero(~holding(mesh).fixed.numpy())
     kind = rng.integers(6)
     if kind == 0:
         points[free] = rng.normal(size=(len(free), 2)) * rng.choice([0.1, 1.0, 100.0])
@@ -103,6 +104,10 @@ def crossed(seed: int, mesh: tm.MeshBatch, tangled: tm.MeshBatch) -> tm.ImproveO
         lengths = torch.full((len(mesh.points),), 0.2 * extent, dtype=torch.float64)
         sizes: list[Any] = ["boundary", "boundary", "keep", "uniform", lengths]
         options["remesh"] = tm.RemeshOptions(sizes=sizes[rng.integers(len(sizes))], split_boundary=topology == "full")
+    if rng.uniform() < 0.3 and not (topology == "full" and "remesh" in options):
+        options["scope"] = "damage"
+    if rng.uniform() < 0.3:
+        options["interfaces"] = "free"
     return tm.ImproveOptions(**options)
 
 
@@ -126,7 +131,7 @@ def judge(given: tm.MeshBatch, after: tm.MeshBatch, report: tm.Report, options: 
     if options.topology == "flip" and after.points.shape != given.points.shape:
         return "the number of vertices changed"
     new = torch.arange(len(given.points)) if report.vertex_map is None else report.vertex_map.old_to_new
-    held = given.fixed.nonzero().squeeze(1)
+    held = holding(given, options.at_interfaces).fixed.nonzero().squeeze(1)
     if options.slides:
         return ""
     if bool((new[held] < 0).any()) or not torch.equal(after.points[new[held]], given.points[held]):

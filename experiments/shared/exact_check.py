@@ -9,6 +9,7 @@ import numpy as np
 
 import torchmesh as tm
 from experiments.shared import boundary
+from torchmesh.mesh.interfaces import holding
 
 Array = np.ndarray
 
@@ -25,7 +26,7 @@ def faults(given: tm.MeshBatch, after: tm.MeshBatch) -> list[str]:
     if flat:
         found.append(f"{flat} triangles inverted or flat")
     positions = [[tuple(p) for p in mesh.points.tolist()] for mesh in (given, after)]
-    held = {p for p, fixed in zip(positions[0], given.fixed.tolist(), strict=True) if fixed}
+    held = {p for p, fixed in zip(positions[0], holding(given).fixed.tolist(), strict=True) if fixed}
     if not held <= set(positions[1]):
         found.append("fixed vertices have moved")
     sides = [directed(mesh.triangles.numpy()) for mesh in (given, after)]

@@ -121,6 +121,23 @@ def test_places_are_mended_apart_so_that_one_in_vain_does_not_stop_the_others():
     assert report.certified.tolist() == [False]
 
 
+def test_a_place_beside_one_in_vain_is_mended_by_a_smaller_try():
+    mesh = meshes.grid(7, 7)
+    points = mesh.points.clone()
+    # Two neighbours on the lower side have passed each other, and two vertices two rows above have gone astray.
+    lower = ((points[:, 1] == 0) & (points[:, 0] > 0.2) & (points[:, 0] < 0.5)).nonzero().squeeze(1)
+    points[lower] = points[lower.flip(0)]
+    astray = [int((points - torch.tensor(p)).square().sum(1).argmin()) for p in ([2 / 7, 3 / 7], [5 / 7, 5 / 7])]
+    points[astray] += torch.tensor([[0.2, 0.25], [-0.3, 0.2]], dtype=torch.float64)
+    mesh = mesh.with_points(points)
+    better, report = improve(mesh, damage())
+    left = better.triangles[~quality(better).upright]
+    assert 0 < len(left) < inverted(mesh)
+    assert bool((left[:, :, None] == lower).any(1).all(1).any())
+    assert not bool(torch.isin(left, torch.tensor(astray[1:])).any())
+    assert report.status.tolist() == [tm.Status.INFEASIBLE]
+
+
 def test_a_part_grows_until_it_can_be_mended():
     hole = meshes.ring(24, 5)
     inner = torch.arange(len(hole.points)) < 24
@@ -129,8 +146,8 @@ def test_a_part_grows_until_it_can_be_mended():
     assert inverted(mesh) > 3
     _, report = improve(mesh, damage(damage=Damage(rings=1)))
     assert report.certified.tolist() == [True]
-    assert Damage().rings_at(3) == 16
-    assert [Damage(rings=1, growth=1.1).rings_at(level) for level in range(4)] == [1, 2, 3, 4]
+    assert [Damage().rings_at(tries) for tries in range(5)] == [2, 1, 4, 8, 16]
+    assert [Damage(rings=1, growth=1.1).rings_at(tries) for tries in range(5)] == [1, 1, 2, 3, 4]
 
 
 def test_a_batch_is_each_mesh_alone():

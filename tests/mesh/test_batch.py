@@ -486,3 +486,13 @@ def test_twins_travel_with_the_mesh_and_cannot_go_stale():
     assert sent.known_twin is None
     assert torch.equal(sent.twin, batch.twin)
     assert batch.to(torch.float32).points.dtype == torch.float32
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("value", [torch.inf, -torch.inf, torch.nan])
+def test_positions_that_are_not_finite_are_refused_in_either_precision(dtype, value):
+    points, triangles = meshes.grid_arrays(3, 3)
+    points = torch.from_numpy(points).to(dtype)
+    points[5, 1] = value
+    with pytest.raises(InvalidMeshError, match=r"points row 5 .* every coordinate must be finite"):
+        MeshBatch.from_arrays(points, triangles)

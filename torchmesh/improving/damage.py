@@ -34,8 +34,8 @@ def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
     """The whole job on parts round the damage of each mesh; all else, and meshes without damage, keep their bits."""
     mending = Mending.begin(state, options)
     while (found := mending.next_parts()) is not None:
-        parts, level, how = found
-        mending = mending.after(parts, level, _worked_on(mending, parts, how, log))
+        parts, tries, how = found
+        mending = mending.after(parts, tries, _worked_on(mending, parts, how, log))
     run, state = Runner(log), mending.ended()
     state = tell_the_hopeless(state, run, options)
     state = state.ended(state.running, Status.STALLED)
@@ -120,7 +120,7 @@ class Mending:
     meant      the shapes that are meant
     sizes      (V,) the edge lengths that were asked for by vertex, or None
     slides     (V,) bool, the vertices that may slide; None: none may
-    level      (T,) int64, in how many parts the triangle has been tried in vain
+    tries      (T,) int64, in how many parts the triangle has been tried in vain
     closed     (T,) bool, no more is to be tried for the triangle
     touched    (T,) bool, the triangle is in a part that was put back
     """
@@ -130,7 +130,7 @@ class Mending:
     meant: Meant
     sizes: Tensor | None
     slides: Tensor | None
-    level: Tensor
+    tries: Tensor
     closed: Tensor
     touched: Tensor
 
@@ -144,20 +144,20 @@ class Mending:
         return cls(state, options, Meant.of(state), sizes, slides, none.long(), none, none.clone())
 
     def next_parts(self) -> tuple[Parts, Tensor, "How"] | None:
-        """Parts to work on in the same way, (P,) how often they have grown, and that way; None: there are none left."""
+        """Parts to work on in the same way, (P,) how often they have been tried, and that way; None: none is left."""
         mesh, o = self.state.mesh, self.options.damage
         bad = damaged(self.state, self.meant, o) & ~self.closed
         if not bool(bad.any()):
             return None
         free = torch.zeros(len(mesh.points), dtype=torch.bool, device=bad.device)
-        for level in self.level[bad].unique().tolist():
-            near = corners_of(mesh.triangles, bad & (self.level == level), len(free))
-            for _ in range(o.rings_at(level) - 1):
+        for times in self.tries[bad].unique().tolist():
+            near = corners_of(mesh.triangles, bad & (self.tries == times), len(free))
+            for _ in range(o.rings_at(times) - 1):
                 near = corners_of(mesh.triangles, touching(mesh.triangles, near), len(free))
             free |= near
         parts = Parts.cut_out(mesh, free)
-        level = segment_max(
-            torch.where(bad, self.level, -1)[parts.triangles].to(torch.float64), parts.mesh.triangle_offsets
+        tries = segment_max(
+            torch.where(bad, self.tries, -1)[parts.triangles].to(torch.float64), parts.mesh.triangle_offsets
         ).long()
         hows = How.of(self, parts)
         # Of each mesh the parts like its first one, so that what becomes of a mesh does not depend on the others.
@@ -165,10 +165,10 @@ class Mending:
         first = dict(reversed(list(zip(owner, hows, strict=True))))
         same = [how == hows[0] == first[b] for b, how in zip(owner, hows, strict=True)]
         chosen = torch.tensor(same, device=bad.device)
-        return parts.select(chosen), level[chosen], hows[0]
+        return parts.select(chosen), tries[chosen], hows[0]
 
-    def after(self, parts: Parts, level: Tensor, after: State) -> "Mending":
-        """What has been mended once the `parts` have become `after`; `level` (P,) is how often they had grown."""
+    def after(self, parts: Parts, tries: Tensor, after: State) -> "Mending":
+        """What has been mended once the `parts` have become `after`; `tries` (P,) is how often they had been tried."""
         o, upright = self.options.damage, self.state.quality.upright
         bad = damaged(self.state, self.meant, o)
         poor, inverted = parts.of_triangles(bad & upright), parts.of_triangles(~upright)
@@ -179,15 +179,17 @@ class Mending:
         # What was valid changes only if fewer triangles are bad, since the boundary may force some to be so.
         better = (sound & ((inverted > 0) | (left < poor))) | (fits & parts.whole & (after.quality.inverted < inverted))
         # For its shapes alone a part grows on only where that has helped.
-        hopeful = (level < o.growths_for_shapes) | (better & (left < poor))
-        open_ = (~sound | ((left > 0) & hopeful)) & ~parts.whole
+        hopeful = (tries <= o.growths_for_shapes) | (better & (left < poor))
+        open_ = (~sound | ((left > 0) & hopeful)) & (~parts.whole | (~sound & (tries == 0)))
+        # A part that is valid grows at once.
+        onward = torch.where(sound, tries.clamp_min(1), tries) + 1
         mending = self
         if not bool(better.all()):
             vain = spread(~better, parts.mesh.triangle_offsets)
-            mending = mending._told(parts.triangles[vain], spread(level + 1, parts.mesh.triangle_offsets)[vain],
+            mending = mending._told(parts.triangles[vain], spread(onward, parts.mesh.triangle_offsets)[vain],
                                     spread(open_, parts.mesh.triangle_offsets)[vain])  # fmt: skip
         if bool(better.any()):
-            mending = mending._put(parts, after, better, (level + 1)[better], open_[better])
+            mending = mending._put(parts, after, better, onward[better], open_[better])
         return mending
 
     def ended(self) -> State:
@@ -203,16 +205,16 @@ class Mending:
                 notes[b] = "; nothing was mended, and all is as it was given"
         return self.state.noted(notes).ended(self.state.valid, Status.SETTLED)
 
-    def _told(self, triangles: Tensor, level: Tensor, more: Tensor) -> "Mending":
-        """With a new level of some triangles (N,), and closed but for those of which `more` (N,) bool is true."""
+    def _told(self, triangles: Tensor, tries: Tensor, more: Tensor) -> "Mending":
+        """With new `tries` of some triangles (N,), and closed but for those of which `more` (N,) bool is true."""
         return replace(
             self,
-            level=self.level.index_copy(0, triangles, level),
+            tries=self.tries.index_copy(0, triangles, tries),
             closed=self.closed.index_copy(0, triangles, ~more),
         )
 
-    def _put(self, parts: Parts, after: State, at: Tensor, level: Tensor, more: Tensor) -> "Mending":
-        """With the parts that `at` (P,) bool marks as they are in `after`; `level` and `more` are of these."""
+    def _put(self, parts: Parts, after: State, at: Tensor, tries: Tensor, more: Tensor) -> "Mending":
+        """With the parts that `at` (P,) bool marks as they are in `after`; `tries` and `more` are of these."""
         state, made = self.state, paste(parts, after, at, self.state.vertex_names)
         part = after.select(at)
         meant, sizes, slides, targets = self.meant, self.sizes, self.slides, state.targets
@@ -233,7 +235,7 @@ class Mending:
             meant,
             sizes,
             slides,
-            made.by_triangle(self.level, level),
+            made.by_triangle(self.tries, tries),
             made.by_triangle(self.closed, ~more),
             made.by_triangle(self.touched, torch.ones_like(more)),
         )

@@ -110,9 +110,16 @@ class Damage:
         if self.growths_for_shapes < 0:
             raise ValueError(f"Damage.growths_for_shapes must not be negative, but is {self.growths_for_shapes}")
 
-    def rings_at(self, level: int) -> int:
-        """The rings after a part has grown so often; each growth adds one at least."""
-        return max(self.rings + level, round(self.rings * self.growth**level))
+    def rings_at(self, tries: int) -> int:
+        """The rings after so many tries in vain.
+
+        The second try is smaller, since a place that nothing can mend may lie in the part beside one that can be.
+        From then on parts grow, by one ring at least.
+        """
+        if tries == 1:
+            return max(1, round(self.rings / self.growth))
+        growths = max(tries - 1, 0)
+        return max(self.rings + growths, round(self.rings * self.growth**growths))
 
 
 @dataclass(frozen=True)
