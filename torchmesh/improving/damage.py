@@ -146,7 +146,7 @@ class Mending:
     def next_parts(self) -> tuple[Parts, Tensor, "How"] | None:
         """Parts to work on in the same way, (P,) how often they have been tried, and that way; None: none is left."""
         mesh, o = self.state.mesh, self.options.damage
-        bad = damaged(self.state, self.meant, o) & ~self.closed
+        bad = damaged(self.state, self.meant, o) & ~self.closed & spread(self.state.running, mesh.triangle_offsets)
         if not bool(bad.any()):
             return None
         free = torch.zeros(len(mesh.points), dtype=torch.bool, device=bad.device)
@@ -183,7 +183,7 @@ class Mending:
         open_ = (~sound | ((left > 0) & hopeful)) & (~parts.whole | (~sound & (tries == 0)))
         # A part that is valid grows at once.
         onward = torch.where(sound, tries.clamp_min(1), tries) + 1
-        mending = self
+        mending = replace(self, state=_with_failures(self.state, parts, after))
         if not bool(better.all()):
             vain = spread(~better, parts.mesh.triangle_offsets)
             mending = mending._told(parts.triangles[vain], spread(onward, parts.mesh.triangle_offsets)[vain],
@@ -203,7 +203,7 @@ class Mending:
                 notes[b] = f"; only {some:,} of {every:,} triangles, round the damage, were worked on"
             if not some and int(self.state.quality.inverted[b]) == 0:
                 notes[b] = "; nothing was mended, and all is as it was given"
-        return self.state.noted(notes).ended(self.state.valid, Status.SETTLED)
+        return self.state.noted(notes).ended(self.state.running & self.state.valid, Status.SETTLED)
 
     def _told(self, triangles: Tensor, tries: Tensor, more: Tensor) -> "Mending":
         """With new `tries` of some triangles (N,), and closed but for those of which `more` (N,) bool is true."""
@@ -320,6 +320,14 @@ def _options_for(mending: Mending, parts: Parts, how: How) -> ImproveOptions:
         reference=reference,
         workers=1,
     )
+
+
+def _with_failures(state: State, parts: Parts, after: State) -> State:
+    """The state of the whole meshes, with the errors of the stages in their parts."""
+    failures = list(state.failures)
+    for b, more in zip(parts.owner.tolist(), after.failures, strict=True):
+        failures[b] += tuple(failure for failure in more if failure not in failures[b])
+    return replace(state, failures=tuple(failures))
 
 
 def _summed(state: State, parts: Parts, after: State, at: Tensor) -> Edits | None:
