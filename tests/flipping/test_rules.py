@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from torchmesh import FlipOptions, MeshBatch, flip_to_delaunay, quality
-from torchmesh.flipping import rules
+from torchmesh.flipping import delaunay, rules
 
 
 @given(SIZES, SEEDS, st.sampled_from(list(RULES)))
@@ -24,7 +24,7 @@ def test_never_more_inverted_triangles_than_before(size, seed, rule):
 def test_safe_flips_never_add_inverted_area(size, seed):
     before = random_mesh(size, seed)
     after, info = flip_to_delaunay(before)
-    # The rule compares areas of size one in floating point.
+    # The areas are about 1, and each flip compares them with an error of rounding.
     assert inverted_area(after) <= inverted_area(before) + 1e-13 * int(info.flips)
 
 
@@ -44,7 +44,7 @@ def test_an_inverted_pair_that_a_flip_mends_is_mended():
     assert inverted(flipped) == 0
 
 
-def test_safe_flips_buy_no_area_with_another_inverted_triangle():
+def test_safe_flips_do_not_lower_the_inverted_area_by_one_more_inverted_triangle():
     # Double areas 14 and -19 would become -1 and -4.
     points = torch.tensor([[2.0, 3.0], [-3.0, -3.0], [1.0, -1.0], [1.0, -2.0]], dtype=torch.float64)
     upright = MeshBatch.from_arrays([[0, 0], [1, 0], [0.5, 1], [0.5, -1]], [[0, 1, 2], [1, 0, 3]])
@@ -61,8 +61,8 @@ def test_kim_flips_only_where_the_sum_of_the_opposite_angles_exceeds_pi():
 
 
 def test_kim_makes_two_upright_triangles_or_none():
-    # One triangle is inverted, the angles sum to more than pi, and a flip would again leave one inverted: the first
-    # of the two new ones, or the second.
+    # One triangle is inverted, the angles sum to more than pi, and a flip would again leave one inverted: in the first
+    # mesh the first of the two new triangles, in the other mesh the second.
     u, w, s, r = [1, 1.2], [0.1, -1.2], [1.6, 0.5], [0.8, -0.6]
     for points in ([u, w, s, r], [w, u, r, s]):
         mesh = MeshBatch.from_arrays(points, [[0, 1, 2], [1, 0, 3]])
@@ -105,9 +105,9 @@ def test_a_flip_that_would_invert_is_not_made():
 
 
 def test_the_rank_of_an_edge_has_the_same_bits_wherever_it_stands(rng):
-    # Vectorised functions may round otherwise in the last, odd rows of a tensor.
+    # Vectorised functions may round otherwise in the last rows of a tensor, which do not fill a vector register.
     coordinates = torch.from_numpy(rng.uniform(-1, 1, (8, 203)))
-    for rule in (rules.kim_rule, rules.safe_rule, rules.shape_rule):
+    for rule in delaunay.RULES.values():
         rank = rule(rules.Quads(*coordinates))[1]
         for start in (0, 1, 101, 202):
             part = rule(rules.Quads(*coordinates[:, start:].contiguous()))[1]

@@ -16,7 +16,8 @@ from .metric_rule import MetricRule
 from .rounds import flip_rounds
 from .rules import kim_rule, safe_rule, shape_rule
 
-_RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
+# The rules by their names; a new one is listed here.
+RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class FlipOptions:
     max_rounds: int = 10_000
 
     def __post_init__(self) -> None:
-        if self.rule not in _RULES:
-            raise ValueError(f"FlipOptions.rule must be one of {sorted(_RULES)}, not {self.rule!r}")
+        if self.rule not in RULES:
+            raise ValueError(f"FlipOptions.rule must be one of {sorted(RULES)}, not {self.rule!r}")
         if self.max_rounds < 1:
             raise ValueError(f"FlipOptions.max_rounds must be at least 1, not {self.max_rounds}")
 
@@ -88,7 +89,7 @@ def flip_to_delaunay(
         batch.triangles,
         batch.twin,
         constrained,
-        _RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
+        RULES[options.rule] if metric is None else MetricRule(metric.at_vertices(batch)),
         once=options.once,
         max_rounds=options.max_rounds,
         around=around,

@@ -20,18 +20,18 @@ class Rounds:
 
     flip_rounds          the rounds of flips before each untangling: the first flips do most, and later ones are guided
                          by tangled triangles only
-    progress, patience   a mesh goes on while the number of its inverted triangles falls to this part at least once in
-                         so many rounds
-    patience_with_flips  the loop of the paper goes on for so many rounds in which that number does not fall
-    quiet                the loop of the paper stops after so many rounds in a row without a flip in which L-BFGS
-                         stopped at its least number of steps
+    progress, patience   a mesh leaves the loop after so many rounds in a row in which the number of its inverted
+                         triangles did not fall to this part of the fewest so far
+    paper_patience       a mesh leaves the loop of the paper after so many rounds in a row in which that number did not
+                         fall at all
+    paper_quiet          or after so many rounds in a row without a flip in which L-BFGS took its least number of steps
     """
 
     flip_rounds: int = 2
     progress: float = 0.75
     patience: int = 2
-    patience_with_flips: int = 10
-    quiet: int = 4
+    paper_patience: int = 10
+    paper_quiet: int = 4
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,14 @@ class Refining:
     """How flips and smoothing alternate on a valid mesh; ratios are inverse mean ratios.
 
     first_flip_rounds      rounds of flips before the first smoothing
-    rest                   a vertex that moves less than this part of its edges in a round rests in the next one
+    rest                   a vertex that moves less than this part of its mean edge length in a round does not move in
+                           the next one
     little_gain            a round that lowers the mean by less than this is the last of a mesh without poor triangles
     least_gain             a round that lowers the mean by less than this, and the maximum by less than
                            `least_gain_of_maximum` times itself, is the last one of any mesh
     sliver                 a triangle with a higher ratio is so flat that it alone would decide flips and smoothing
     last_steps             iterations of the last smoothing at most, where edges may flip: usual meshes take up to 40;
-                           what 150 leave is left to the travel of vertices
+                           what is still poor after 150 is better mended by the travel of vertices
     coarse                 meshes with a higher maximum are smoothed in double precision, whatever was asked for
     """
 

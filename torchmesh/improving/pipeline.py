@@ -55,8 +55,8 @@ def improve(
 
     progress  called now and then with a `Progress`
     observe   called after each stage with its name and the whole batch at that time, for example by `report_page` and
-              `animate`; the first call has "initial" and the batch as given.  With one mesh, the calls are the rows of
-              `report.steps[0]`
+              `animate`; the first call has "initial" and the batch as given.  With one mesh, call n belongs to
+              `report.steps[0][n]`
     hold      (V,) bool, vertices that neither slide nor move with interfaces that are free
 
     A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress` is then
@@ -96,7 +96,7 @@ def improve(
 
 
 def _check_options(batch: MeshBatch, options: ImproveOptions) -> None:
-    """Raises as the stages would that read the options, which is at once and not mesh by mesh."""
+    """Raise for options that do not fit the batch; inside a stage the error would be noted mesh by mesh."""
     if not isinstance(options.remesh.sizes, str):
         size_field(batch, options.remesh.sizes)
     targets = as_targets(options.smooth.targets)
@@ -105,7 +105,7 @@ def _check_options(batch: MeshBatch, options: ImproveOptions) -> None:
 
 
 def _put_back(state: State, given: Tensor, rows: Tensor) -> Tensor:
-    """(V, 2) the points of a finished state, with the vertices `rows` (R,) of the batch where they were `given`."""
+    """(V, 2) the points of a finished state; the vertices `rows` (R,) are put back to their `given` positions."""
     now = rows if state.names is None else state.names.vertex_map().old_to_new[rows]
     points = state.mesh.points.clone()
     points[now[now >= 0]] = given[rows[now >= 0]]
@@ -118,7 +118,7 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
     if options.local and options.scope == "all":
         job = on_submeshes(job, options)
     if options.keeps_shapes:
-        # Damage is judged by the shapes around it, whatever they are.
+        # With scope "damage", `improve_damage` itself sees to stretched meshes.
         job = keeping_layers(keeping_stretch(job, options) if options.scope == "all" else job)
     return in_processes(job, workers) if workers > 1 else job
 

@@ -6,11 +6,11 @@
    |-- retriangulate cavities                        |        | no flip is left, or quality settles
    +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> polish the worst -> certify
 
-Every mesh goes its own way; the meshes on one stretch of the way travel as one batch.
+Every mesh goes its own way; the meshes that take the same stage are worked on together, as one batch.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Literal
 
@@ -25,7 +25,6 @@ from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
 from ..mesh.neighbourhoods import rewired
 from ..mesh.ragged import segment_any
-from ..optimising.lbfgs import LbfgsOptions
 from ..optimising.metric_field import MetricField
 from ..remeshing.criteria import crowded
 from ..remeshing.metric_sizing import metric_conformity
@@ -52,6 +51,7 @@ from .stages import (
     warp,
 )
 from .state import State
+from .stopping import Gain, Stall, settled
 from .travel import tethered
 
 Step = Callable[[State, Runner], State]
@@ -63,7 +63,7 @@ INTERFACES_HELD = "; its interfaces are held where they are: interfaces='free' (
 def improve_batch(state: State, log: Log, options: ImproveOptions) -> State:
     """The whole job on a batch, in this process and mesh by mesh as a whole."""
     if options.may_flip:
-        # Computed once here: selections, flips and `put` hand them on.
+        # Reading the twins computes them, once; `select`, flips and `put` then hand them on.
         state.mesh.twin  # noqa: B018
     run = Runner(log)
     for step in strategy(options):
@@ -94,55 +94,18 @@ def strategy(o: ImproveOptions) -> list[Step]:
 
 def paper(state: State, run: Runner, o: ImproveOptions) -> State:
     """Kim 2017, figure 2."""
-    stall = Stall.of(state)
+    stall = Stall.of(state.quality.inverted)
     for turn in range(o.untangle_rounds):
         if not bool(state.tangled.any()):
             break
         step_2 = o.untangle.up_to(20 * 3**turn)
         state, flipped = run("flip", flip(FlipOptions.paper()), state, state.tangled & o.may_flip)
         state, moved = run("untangle-beta", untangle_beta(step_2), state, state.tangled)
-        stall = stall.after(state, flipped.flips, moved.iterations, short=step_2 != o.untangle)
-        state = state.ended(state.tangled & stall.reached(o), Status.STALLED)
+        stall = stall.after(state.quality.inverted, flipped.flips, moved.iterations, short=step_2 != o.untangle)
+        state = state.ended(state.tangled & stall.reached(o.rounds, o.may_flip), Status.STALLED)
     state = state.ended(state.tangled, Status.ITERATION_LIMIT)
     state, _ = run("smooth", smooth(o.smooth), state, state.valid)
     return state.ended(state.running, Status.SETTLED)
-
-
-@dataclass(frozen=True, eq=False)
-class Stall:
-    """When the paper's loop has come to a standstill; the paper names no limit.
-
-    best   (B,) the fewest inverted triangles so far
-    since  (B,) rounds since there were fewer
-    quiet  (B,) rounds in a row without a flip in which L-BFGS stopped after its least number of steps
-    """
-
-    best: Tensor
-    since: Tensor
-    quiet: Tensor
-
-    @classmethod
-    def of(cls, state: State) -> "Stall":
-        """Before the first round."""
-        none = torch.zeros_like(state.quality.inverted)
-        return cls(state.quality.inverted, none, none)
-
-    def after(self, state: State, flips: Tensor, iterations: Tensor, short: bool) -> "Stall":
-        """After a round with so many flips and iterations (B,); a short round does not count as one in vain."""
-        inverted = state.quality.inverted
-        # No flip and a minimum already: another round would be the same again.
-        still = (flips == 0) & (iterations <= LbfgsOptions().patience)
-        return Stall(
-            torch.minimum(self.best, inverted),
-            torch.where((inverted < self.best) | short, 0, self.since + 1),
-            torch.where(still, self.quiet + 1, 0),
-        )
-
-    def reached(self, o: ImproveOptions) -> Tensor:
-        """(B,) bool: further rounds would be in vain."""
-        # Flips may open a way where the minimiser alone stood still; without them nothing would change.
-        patience = o.rounds.patience_with_flips if o.may_flip else 1
-        return (self.since >= patience) | (self.quiet >= o.rounds.quiet)
 
 
 # --- from tangled to valid ---
@@ -190,26 +153,24 @@ def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State
 
 def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:
     """Steps 1 and 2 in turn, by a flip rule that can only lower the inverted area."""
-    best, since = state.quality.inverted, torch.zeros_like(state.quality.inverted)
+    gain = Gain.of(state.quality.inverted)
     for _ in range(o.untangle_rounds):
-        going = state.tangled & (since < o.rounds.patience)
+        going = state.tangled & gain.lasts(o.rounds)
         state, _ = run("flip", flip(FlipOptions(max_rounds=o.rounds.flip_rounds)), state, going)
         state, _ = run("untangle-beta", untangle_beta(o.untangle), state, going & state.tangled)
-        inverted = state.quality.inverted
-        since = torch.where(inverted <= o.rounds.progress * best, 0, since + 1)
-        best = torch.minimum(best, inverted)
+        gain = gain.after(state.quality.inverted, o.rounds)
     return state
 
 
 def untangle_by_retriangulation(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Inside a simple boundary this always succeeds."""
+    """Tangled cavities are triangulated anew, which always succeeds if the boundary does not cross itself."""
     if bool(state.tangled.any()):
         state, _ = run("retriangulate", attempt(retriangulate()), state, state.tangled)
     return state
 
 
 def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -> State:
-    """The regularised functional, from the mesh as given, then from where averaging took it."""
+    """The regularised functional, first from the positions that were given, then from those that averaging gave."""
     if bool(state.tangled.any()):
         state, _ = run("regularised", attempt(regularised(UntangleOptions()), _given), state, state.tangled)
         assert state.averaged is not None
@@ -232,20 +193,20 @@ def _averaged(state: State) -> MeshBatch:
 
 
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:
-    """A few triangles that are all but flat would drown the others in q^2, and more so in its ceiling."""
+    """Meshes with triangles that are all but flat are smoothed by q first: in q^2 these would outweigh all others."""
     first = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
     return run("smooth", tethered(smooth(first)), state, state.valid & (state.judged.max > o.refine.sliver))[0]
 
 
 def flip_and_smooth(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Flips and smoothing in turn, round what still changes, until neither helps."""
+    """Flips and smoothing in turn, near the vertices that still move, until neither helps."""
     state = smooth_slivers(state, run, o)
     rough = SmoothOptions(power=o.smooth.power, max_iterations=10, energy_tolerance=1e-3, single=True)
     going, size = state.valid, vertex_size(state.mesh)
     state = replace(state, lively=torch.ones_like(state.mesh.fixed))
     for turn in range(o.smooth_rounds):
         before = state
-        # At first one flip calls for the next, and smoothing for others.
+        # Before the first smoothing only a few rounds of flips pay: smoothing changes which flips help.
         most = FlipOptions().max_rounds if turn else o.refine.first_flip_rounds
         state, flipped = run("flip", flip(FlipOptions(rule="shape", max_rounds=most)), state, going)
         if turn > 1:
@@ -254,9 +215,9 @@ def flip_and_smooth(state: State, run: Runner, o: ImproveOptions) -> State:
         if turn:
             moved = (state.mesh.points - before.mesh.points).square().sum(1)
             state = replace(state, lively=moved > (o.refine.rest * size).square())
-        # Towards targets that are not equilateral the quality known here may even fall.
+        # `judged` measures towards equilateral triangles, so towards other targets it cannot say when to stop.
         if turn and o.smooth.targets is None:
-            going = going & ~_settled(before, state, o)
+            going = going & ~settled(before, state, o)
         going = going & (flipped.flips > 0)
     return replace(state, lively=None)
 
@@ -268,21 +229,12 @@ def _round_flips(before: State, after: State) -> Tensor:
     return corners_of(after.mesh.triangles, touching(after.mesh.triangles, near), len(near))
 
 
-def _settled(before: State, after: State, o: ImproveOptions) -> Tensor:
-    """(B,) bool: a round brought so little that another one is not worth it."""
-    old, q, r = before.judged, after.judged, o.refine
-    gain = old.mean - q.mean
-    nothing = (gain < r.least_gain) & (old.max - q.max < r.least_gain_of_maximum * old.max)
-    # Where no triangle is poor, the last smoothing does the rest.
-    return nothing | ((gain < r.little_gain) & (q.max < (o.smooth.ceiling or 1.0)))
-
-
 def smooth_in_fitting_precision(
     state: State, run: Runner, o: ImproveOptions, options: SmoothOptions, at: Tensor
 ) -> State:
     """Smooth the meshes `at`, those with very poor triangles in double precision whatever the options say."""
     if options.single:
-        # In eighth powers, slivers leave the range of single precision.
+        # The eighth power of a sliver's ratio, in the ceiling, leaves the range of single precision.
         poor = at & (state.judged.max > o.refine.coarse)
         state, _ = run("smooth", tethered(smooth(replace(options, single=False))), state, poor)
         at = at & ~poor
@@ -300,7 +252,7 @@ def smooth_at_last(state: State, run: Runner, o: ImproveOptions) -> State:
 
 def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:
     """Vertices travel from crowded to empty regions where shapes stayed poor, or sizes were asked for."""
-    # Where vertices may also come and go, that is the way to sizes.
+    # Under topology "full" splits and collapses lead to the sizes, so they are not asked for here.
     asked = RemeshOptions() if o.topology == "full" else o.remesh
     if not (o.relocate or asked.sizes_asked):
         return state
@@ -382,7 +334,7 @@ def _compared(state: State, o: ImproveOptions) -> State:
 
 
 def certify(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Say of every mesh whether it is valid and its frame is what it was, by signs and edges looked at anew."""
+    """Say of every mesh whether it is valid and its frame is what it was, by exact signs and edges computed anew."""
     state = run.quietly("certify", _certified, state, torch.ones_like(state.valid))
     failures = [bool(failures) for failures in state.failures]
     failed = torch.tensor(failures, dtype=torch.bool, device=state.meshes.device)

@@ -20,7 +20,6 @@ from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
 from ..optimising.assembly import chunk_offsets, chunks_of, energy_and_forces
 from ..optimising.blocks import BLOCK
 from ..optimising.conjugate_gradients import solve
-from ..optimising.energies import InverseMeanRatio
 from ..optimising.hessian import Hessian
 from ..optimising.jacobian import equilateral
 from ..optimising.objective import Packing, pack
@@ -191,7 +190,7 @@ class _Problem:
 
     def __init__(self, start: MeshBatch, packing: Packing, options: LayerOptions) -> None:
         self.packing, self.options = packing, options
-        self.energy, self.target = InverseMeanRatio(options.smooth.power, options.smooth.ceiling), equilateral()
+        self.energy, self.target = options.smooth.energy, equilateral()
         self.rows = packing.block_offsets * BLOCK
         size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
         self.size = torch.where(size > 0, size, 1.0)

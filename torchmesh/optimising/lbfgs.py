@@ -36,7 +36,7 @@ class Objective(Protocol):
         ...
 
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-        """(N,) to energy (B,), gradient (N,), done (B,) bool: the problem needs no further step; None: all do."""
+        """Unknowns (N,) to energy (B,), gradient (N,), and done (B,) bool: the problem may stop; None: none may yet."""
         ...
 
     def select(self, keep: Tensor) -> "Objective":
@@ -105,8 +105,7 @@ class LbfgsResult:
     status: Tensor
 
 
-# Finished problems leave together, when they hold this part of all blocks: then carrying them costs more than
-# moving the rest.
+# Finished problems are removed when they hold this part of all blocks: earlier, removing costs more than it saves.
 _LEAVING = 1 / 4
 
 
@@ -164,7 +163,7 @@ class PerBlock(NamedTuple):
     """(K, W) in the precision of the start; scale and metric stay, the others change with every step.
 
     x, direction   unknowns, and direction in units of `scale`
-    scale, metric  the objective's scale, and that in units of 1 / unit: the factor of gradients
+    scale, metric  the objective's scale, and its product with `unit`: the factor of gradients
     """
 
     x: Tensor
@@ -349,7 +348,7 @@ def _all_accept(state: State, options: LbfgsOptions, slot: int, trial: _Trial, g
 def _some_accept(state: State, options: LbfgsOptions, slot: int, trial: _Trial, good: Tensor, running: Tensor) -> State:
     """The problems `good` (B,) bool go to their trial points; of the others those `running` shorten their step.
 
-    A problem whose step was refused stays where it is, with its direction, and its pair of this slot is void.
+    A problem whose step was refused stays where it is, with its direction, and its history has a zero in this slot.
     """
     _, blocks, at, each, history = state
     stay = blocks.rows(~good)
@@ -390,13 +389,13 @@ def _shortened(each: PerProblem, change: Tensor, options: LbfgsOptions) -> Tenso
 
 
 def _whole_step(direction: Tensor, blocks: Blocks, options: LbfgsOptions) -> Tensor:
-    """(B,) one, shortened so that no unknown moves further along the direction (K, W) than allowed."""
+    """(B,) the length of a step along the direction (K, W): 1, or less to keep to `largest_step`."""
     longest = blocks.largest(direction.abs().amax(1)).to(torch.float64)
     return options.largest_step / longest.clamp_min(options.largest_step)
 
 
 def _unit(slope: Tensor) -> Tensor:
-    """(B,) the power of two that makes a gradient's root mean square one of the upper numbers of single precision.
+    """(B,) the power of two by which the root mean square of a gradient becomes about 2^30, if it can.
 
     So the products of gradients up to 2^30 times as large are finite, and down to 2^-90 of it not zero.
     """

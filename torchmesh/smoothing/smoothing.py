@@ -64,6 +64,11 @@ class SmoothOptions:
     targets: Targets | TargetFunction | None = field(default=None, compare=False)
     single: bool = False
 
+    @property
+    def energy(self) -> InverseMeanRatio:
+        """The energy of a triangle that is minimised."""
+        return InverseMeanRatio(self.power, self.ceiling)
+
     def __post_init__(self) -> None:
         if self.power < 1:
             raise ValueError(f"SmoothOptions.power must be at least 1, not {self.power}")
@@ -160,7 +165,7 @@ def smooth(
 def _objective(batch: MeshBatch, packing: Packing, options: SmoothOptions) -> MeshObjective:
     """The energy of the options over the packed batch, with its targets if it has any."""
     objective = MeshObjective(
-        InverseMeanRatio(options.power, options.ceiling),
+        options.energy,
         equilateral(),
         packing.rows,
         packing.anchored,
