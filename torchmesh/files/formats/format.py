@@ -32,6 +32,7 @@ class Document:
                        elements; these edges must stay
     tied               vertices that the file pairs with others, so that they must not slide
     by_element         names for what the file says of single elements that a flip leaves without a meaning
+    skipped            names for what of the file was not read
     """
 
     mesh: meshio.Mesh
@@ -42,6 +43,7 @@ class Document:
     sides: dict[str, np.ndarray] = field(default_factory=dict)
     tied: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     by_element: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,8 @@ class Format(abc.ABC):
         return True
 
     def left_behind(self, document: Document, target: "Format", same_rows: bool) -> list[str]:
-        """Names for what of the `rest` of a file of this format is lost when its mesh is written as `target`."""
-        return []
+        """Names for what a file of this format has besides its mesh, and loses when that is written as `target`."""
+        return list(document.skipped)
 
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """The mesh without what the format cannot hold, and names for what was taken away."""

@@ -22,8 +22,8 @@ from . import gmsh_read, gmsh_write
 from .format import ALL_BUT_POLYGONS, Document, Format
 from .gmsh_new import new_file
 
-# The sections that are parsed and built anew, and those that nobody misses.
-_KNOWN = ("MeshFormat", "PhysicalNames", "Entities", "Nodes", "Elements", "NodeData", "ElementData", "Comments")
+# The sections that are parsed and built anew.
+_KNOWN = ("MeshFormat", "PhysicalNames", "Entities", "Nodes", "Elements", "NodeData", "ElementData")
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,20 @@ from .checks import (
     is_binary_stl,
 )
 from .format import FLAT, LINEAR, Document, Format
+from .skipped import (
+    each_once,
+    in_avs,
+    in_h5m,
+    in_med,
+    in_medit,
+    in_netgen,
+    in_off,
+    in_permas,
+    in_ply,
+    in_stl,
+    in_tecplot,
+    in_xml,
+)
 
 HEAD = 4096  # bytes in which a file says whether it is text or binary
 
@@ -37,6 +52,8 @@ class MeshioFormat(Format):
                    a smaller one, allocate without bound or never return; None: meshio notices
     check_file     the same for a file that a library opens by itself
     is_binary      says whether the bytes of a file are binary; None: there is nothing to find out
+    skipped        names for what is in the bytes of a file that meshio passes over
+    skipped_file   the same for a file that a library opens by itself
     cell_count     the number of cells in the bytes of a file, as the first group of a regular expression
     stream         the file is handed to meshio as "bytes" or "text", in a stream that raises when it is read past its
                    end again and again, as meshio does in many loops; "": meshio opens it
@@ -47,6 +64,8 @@ class MeshioFormat(Format):
     check: Callable[[bytes], None] | None = None
     check_file: Callable[[Path], None] | None = None
     is_binary: Callable[[bytes], bool] | None = None
+    skipped: Callable[[bytes], list[str]] | None = None
+    skipped_file: Callable[[Path], list[str]] | None = None
     cell_count: bytes = b""
     stream: str = ""
     binary_option: bool = False
@@ -65,7 +84,8 @@ class MeshioFormat(Format):
             raise ValueError(f"of its {int(said[1])} cells only {found} could be read")
         mesh.cell_data.pop(_MADE_ANEW[0], None)
         mesh.point_data.pop(_MADE_ANEW[1], None)
-        return Document(mesh, self.name, self.is_binary(data) if self.is_binary else None)
+        names = self.skipped(data) if self.skipped else self.skipped_file(path) if self.skipped_file else []
+        return Document(mesh, self.name, self.is_binary(data) if self.is_binary else None, skipped=each_once(names))
 
     def parse(self, path: Path, data: bytes) -> meshio.Mesh:
         """The mesh of a file that has passed the checks; `data` are its bytes."""
@@ -125,33 +145,42 @@ _NO_DATA: dict[str, Any] = {"point_data": "none", "cell_data": "none"}
 _ONE_TAG: dict[str, Any] = {"point_data": "none", "cell_data": "regions"}
 
 SURFACE_FORMATS = (
-    MeshioFormat("off", (".off",), **_TRIANGLES, check=check_off, stream="text"),
+    MeshioFormat("off", (".off",), **_TRIANGLES, check=check_off, skipped=in_off, stream="text"),
     MeshioFormat(
-        "stl", (".stl",), **_TRIANGLES, check=check_stl, is_binary=is_binary_stl, binary_option=True
+        "stl", (".stl",), **_TRIANGLES, check=check_stl, skipped=in_stl, is_binary=is_binary_stl,
+        binary_option=True,
     ),
     MeshioFormat(
         "ply", (".ply",), FLAT, point_data="scalars", cell_data="none", index_type=np.int32,
-        check=check_ply, is_binary=_is_binary_ply, cell_count=rb"\nelement face\s+(\d+)", stream="bytes",
-        binary_option=True,
+        check=check_ply, skipped=in_ply, is_binary=_is_binary_ply, cell_count=rb"\nelement face\s+(\d+)",
+        stream="bytes", binary_option=True,
     ),
 )  # fmt: skip
 
 SOLVER_FORMATS = (
-    MeshioFormat("medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", stream="text"),
     MeshioFormat(
-        "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5
-    ),
-    MeshioFormat("permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, stream="text"),
-    MeshioFormat(
-        "netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True, stream="text"
+        "medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", skipped=in_medit, stream="text"
     ),
     MeshioFormat(
-        "avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material", check=check_avs, stream="text"
+        "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5,
+        skipped_file=in_med,
     ),
     MeshioFormat(
-        "tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", check=_check_tecplot, stream="text"
+        "permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, skipped=in_permas, stream="text"
     ),
-    MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True, check_file=check_hdf5),
+    MeshioFormat(
+        "netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True, skipped=in_netgen,
+        stream="text",
+    ),
+    MeshioFormat(
+        "avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material", check=check_avs, skipped=in_avs,
+        stream="text",
+    ),
+    MeshioFormat(
+        "tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", check=_check_tecplot, skipped=in_tecplot,
+        stream="text",
+    ),
+    MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True, check_file=check_hdf5, skipped_file=in_h5m),
     MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True, check_file=check_hdf5),
-    MeshioFormat("dolfin-xml", (".xml",), **_TRIANGLES, check=check_dolfin),
+    MeshioFormat("dolfin-xml", (".xml",), **_TRIANGLES, check=check_dolfin, skipped=partial(in_xml, form="dolfin-xml")),
 )  # fmt: skip

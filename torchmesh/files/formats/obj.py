@@ -4,6 +4,7 @@ meshio loses materials, texture coordinates, normals and comments.  Here all lin
 vertices and faces are renewed where they change.
 """
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +16,11 @@ from .format import LINEAR, Document, Format
 _GROUPS = "obj:group_ids"
 
 # What a line begins with, and what it says, that is lost in other formats.
-_FOREIGN = {"vt": "texture coordinates", "vn": "normals", "mtllib": "materials"}
+_FOREIGN = {
+    "vt": "texture coordinates", "vn": "normals", "mtllib": "materials", "o": "names of objects",
+    "g": "names of groups", "usemtl": "names of materials", "s": "smoothing groups", "#": "comments", "p": "points",
+    "vp": "parameters",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,9 @@ class ObjFormat(Format):
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
         if target is self and same_rows:
             return []
-        begins = {words[0] for line in document.rest.lines if (words := line.split())}
+        begins = {words[0] for line in document.rest.lines if (words := line.replace("#", "# ", 1).split())}
+        if all(re.fullmatch(r"g group_\d+", line) for line in document.rest.lines if line.startswith("g ")):
+            begins.discard("g")  # these are the numbers of regions, as `_lines` writes them
         return [text for word, text in _FOREIGN.items() if word in begins]
 
 

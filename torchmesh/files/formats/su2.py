@@ -14,6 +14,7 @@ import meshio
 import numpy as np
 
 from .format import LINEAR, Document, Format
+from .su2_zones import Su2Zones, read_zones, zones_of
 from .text_numbers import next_rows, number_lines, numbers_of
 
 _TAG = "su2:tag"
@@ -26,16 +27,31 @@ _NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
 
 @dataclass(frozen=True)
 class Su2Format(Format):
-    """The `rest` of a document is the list of lines that belong to no points, elements or markers."""
+    """The `rest` of a document is the list of lines that belong to no points, elements or markers.
+
+    Of a file with several zones it is a `Su2Zones`: such a file is changed in place.
+    """
 
     def read(self, path: Path) -> Document:
         """Markers become line cells with the integer cell data `su2:tag`, which is 0 on other cells.
 
         The names of markers stand in the field data as {name: [tag, 1]}, as Gmsh's groups do.
         """
-        with open(path, encoding="utf-8", errors="surrogateescape") as stream:
+        with open(path, encoding="utf-8", errors="surrogateescape", newline="") as stream:
+            if zones_of(list(itertools.islice(stream, 200))) > 1:
+                stream.seek(0)
+                zones, file = read_zones(list(stream), _elements, _TAG)
+                return Document(zones, self.name, rest=file)
+            stream.seek(0)
             mesh, rest = _parse(stream)
         return Document(mesh, self.name, rest=rest)
+
+    def patches(self, document: Document) -> bool:
+        return isinstance(document.rest, Su2Zones)
+
+    def patch(self, path: Path, mesh: meshio.Mesh, like: Document) -> None:
+        with open(path, "w", encoding="utf-8", errors="surrogateescape", newline="") as stream:
+            stream.writelines(like.rest.patched(mesh))
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         with open(path, "w", encoding="utf-8", errors="surrogateescape") as stream:
@@ -45,7 +61,9 @@ class Su2Format(Format):
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
         if target is self:
             return []
-        return [f"lines such as {line.strip()!r}" for line in document.rest if not line.lstrip().startswith("%")][:1]
+        rest = document.rest.rest if isinstance(document.rest, Su2Zones) else document.rest
+        comments = ["comments"] if any(line.lstrip().startswith("%") for line in rest) else []
+        return [f"lines such as {line.strip()!r}" for line in rest if not line.lstrip().startswith("%")][:1] + comments
 
 
 SU2 = Su2Format(
@@ -71,8 +89,7 @@ def _parse(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
             if int(value) != 2:
                 raise ValueError("NDIME is not 2: only planar meshes can be improved")
         elif key == "NZONE":
-            if int(value) != 1:
-                raise ValueError("it has several zones; give each zone its own file")
+            pass
         elif key == "NPOIN":
             rows = next_rows(lines, int(value.split()[0]), "NPOIN")
             numbers, starts, widths = numbers_of(rows, "NPOIN")

@@ -9,6 +9,7 @@ import meshio
 from .checks import check_vtk
 from .format import Document, Format
 from .meshio_formats import MeshioFormat
+from .skipped import in_vtk
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,11 @@ class VtkFormat(MeshioFormat):
             head.put_into(path)
 
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
-        return ["the field data"] if target is not self and document.rest.has_fields else []
+        fields = ["the field data"] if target is not self and document.rest.has_fields else []
+        return [*super().left_behind(document, target, same_rows), *fields]
 
 
 VTK = VtkFormat(
-    "vtk", (".vtk",), cell_sets=True, point_sets=True, set_arrays=True, check=check_vtk,
+    "vtk", (".vtk",), cell_sets=True, point_sets=True, set_arrays=True, check=check_vtk, skipped=in_vtk,
     cell_count=rb"\nCELL_TYPES\s+(\d+)",
 )  # fmt: skip

@@ -3,6 +3,7 @@
 import base64
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from ..swelling import allowed, inflated
 from .checks import check_raw_vtu
 from .format import Document
 from .meshio_formats import HEAD, MeshioFormat
+from .skipped import in_xml
 
 
 def _check(data: bytes) -> None:
@@ -76,6 +78,7 @@ class VtuFormat(MeshioFormat):
 
 VTU = VtuFormat(
     "vtu", (".vtu",), cell_sets=True, point_sets=True, set_arrays=True, field_data=True, check=_check,
+    skipped=partial(in_xml, form="vtu"),
     is_binary=_is_binary,
 )  # fmt: skip
 

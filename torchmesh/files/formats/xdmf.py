@@ -4,6 +4,7 @@ import contextlib
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import meshio
@@ -11,6 +12,7 @@ import meshio
 from ..swelling import check_hdf5
 from .format import ALL_BUT_POLYGONS, Document
 from .meshio_formats import MeshioFormat
+from .skipped import in_xml
 
 
 def _has_series(data: bytes) -> bool:
@@ -33,7 +35,9 @@ class XdmfFormat(MeshioFormat):
         meshio.xdmf.write(str(path), mesh, data_format="XML")
 
 
-XDMF = XdmfFormat("xdmf", (".xdmf", ".xmf"), ALL_BUT_POLYGONS, check=_refuse_series)
+XDMF = XdmfFormat(
+    "xdmf", (".xdmf", ".xmf"), ALL_BUT_POLYGONS, check=_refuse_series, skipped=partial(in_xml, form="xdmf")
+)
 
 
 def check_data_files(path: Path) -> None:
