@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from exact import inverted
+from layered import first_heights, round_body, turned_body
 
 from torchmesh import (
     ConvergenceError,
@@ -333,3 +334,30 @@ def test_slivers_that_smoothing_alone_leaves_are_mended():
 def test_step_lengths_that_cannot_work_are_refused(name, value):
     with pytest.raises(ValueError, match=f"StepControl.{name} must be"):
         StepControl(**{name: value})
+
+
+def test_layers_go_with_their_walls():
+    body, other = round_body(), meshes.grid()
+    moved = turned_body(body, 24, 50.0, (0.5, 0.2))
+    goal = torch.cat([moved.points, other.points])
+    after, report = deform(join([body, other]), goal)
+    report.check()
+    turned, _ = after.split()
+    assert torch.allclose(first_heights(turned, 24), first_heights(body, 24), rtol=1e-6)
+    assert torch.equal(turned.fixed, body.fixed)
+    assert len(turned.constrained_edges) == 0
+    alone, _ = deform(body, moved.points)
+    assert torch.equal(alone.points, turned.points)
+    assert torch.equal(alone.triangles, turned.triangles)
+
+
+def test_a_layer_that_leaves_no_way_is_let_go():
+    body = round_body(sides=24, rows=8, first=0.01, growth=1.5, around=4, far=2.5)
+    goal = turned_body(body, 24, 0.0, (1.3, 0.0)).points
+    with_layers, report = deform(body, goal)
+    report.check()
+    # The layer is about 0.48 high, and 0.2 are left for it.
+    assert report.messages == [f"arrived in {int(report.steps[0])} steps; its layers left no way, and were not kept"]
+    assert not torch.allclose(first_heights(with_layers, 24), first_heights(body, 24), rtol=0.1)
+    without = DeformOptions(improve=ImproveOptions(shapes="equilateral"))
+    assert report.steps.tolist() == deform(body, goal, options=without)[1].steps.tolist()

@@ -9,7 +9,7 @@ Every mesh of a batch has steps of its own; meshes that have arrived take no mor
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import torch
@@ -25,6 +25,7 @@ from ..status import Status
 from ..warping.boundary_path import BoundaryPath
 from ..warping.femwarp import boundary_goal, femwarp, with_held
 from .deform_options import DeformOptions
+from .layered_motion import Path, with_layers
 from .motion import Motion, advance
 from .pipeline import improve
 from .report import Progress, Report
@@ -109,6 +110,9 @@ def deform(
     Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held; the
     smoothing between the steps and the improvement at the end hold them, unless their options say otherwise.
 
+    Layers along walls go as their walls take them, if `improve` keeps them (`ImproveOptions.shapes`).  Where they leave
+    no way, the mesh moves as if it had none, and the message says so.
+
     A mesh stops on the way if its boundary runs into itself, or if its triangles (topology "keep") allow no further
     step.  It is then valid, and the report says where it stopped.  Its status is `Status.STALLED`, or
     `Status.INFEASIBLE` when no valid mesh exists at the goal.  Raises
@@ -120,14 +124,40 @@ def deform(
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
     given, batch = batch, with_held(batch, hold)
     target = boundary_goal(batch, new_points, "deform")
-    path = BoundaryPath.of(batch, target, straight=options.path == "straight")
-    motion = Motion.begin(batch, path, 1.0 if steps == "auto" else 1.0 / steps)
+    longest = 1.0 if steps == "auto" else 1.0 / steps
+    motion, let_go = _moved(batch, target, longest, options, progress, options.improve.keeps_shapes)
+    after, report = _arrived(motion, batch.with_points(target), options, progress)
+    for b in let_go.nonzero().squeeze(1).tolist():
+        report.messages[b] += "; its layers left no way, and were not kept"
+    return (after if hold is None else released(after, given, report.report.vertex_map)), report
+
+
+def _moved(
+    batch: MeshBatch,
+    target: Tensor,
+    longest: float,
+    options: DeformOptions,
+    progress: Callable[[Progress], None] | None,
+    keep_layers: bool,
+) -> tuple[Motion, Tensor]:
+    """The motion at its end with layers carried along, and (B,) bool which meshes were stuck and moved without them."""
+    mesh, path = batch, BoundaryPath.of(batch, target, straight=options.path == "straight")
+    has_layers = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
+    way: Path = path
+    if keep_layers:
+        mesh, way, has_layers = with_layers(batch, path)
+    motion = Motion.begin(mesh, way, longest)
     while bool(motion.going.any()):
         before, motion = motion, advance(motion, options)
         if progress is not None and bool((motion.steps > before.steps).any()):
             progress(Progress("deform", int(before.going.sum()), 0, int(motion.steps.max())))
-    after, report = _arrived(motion, batch.with_points(target), options, progress)
-    return (after if hold is None else released(after, given, report.report.vertex_map)), report
+    free = replace(motion.mesh, fixed=batch.fixed, constrained_edges=batch.constrained_edges)
+    motion = replace(motion, mesh=free if mesh is not batch else motion.mesh)
+    again = has_layers & (motion.status != Status.VALID)
+    if bool(again.any()):
+        goal = target[spread(again, batch.point_offsets)]
+        motion = motion.put(again, _moved(batch.select(again), goal, longest, options, progress, False)[0])
+    return motion, again
 
 
 def _arrived(

@@ -17,9 +17,10 @@ from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, segment_min, spread
 from ..smoothing.smoothing import smooth
 from ..status import Status
-from ..warping.boundary_path import BoundaryPath, first_flat
+from ..warping.boundary_path import first_flat
 from ..warping.femwarp import femwarp
 from .deform_options import DeformOptions
+from .layered_motion import Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class Motion:
     """
 
     mesh: MeshBatch
-    path: BoundaryPath
+    path: Path
     longest: float
     status: Tensor
     reached: Tensor
@@ -54,7 +55,7 @@ class Motion:
     blocked: Tensor
 
     @classmethod
-    def begin(cls, batch: MeshBatch, path: BoundaryPath, longest: float) -> "Motion":
+    def begin(cls, batch: MeshBatch, path: Path, longest: float) -> "Motion":
         """The motion before the first step."""
         device = batch.points.device
         status = torch.full((len(batch),), Status.RUNNING, device=device)
@@ -68,6 +69,19 @@ class Motion:
     def going(self) -> Tensor:
         """(B,) bool: the mesh is under way."""
         return self.status == Status.RUNNING
+
+    def put(self, at: Tensor, part: "Motion") -> "Motion":
+        """This motion with the meshes `at` (B,) bool replaced by `part`, which begins where they began."""
+        rows = at.nonzero().squeeze(1)
+        names = ("status", "reached", "length", "steps", "refused", "flips", "blocked")
+        columns = {name: getattr(self, name).index_copy(0, rows, getattr(part, name)) for name in names}
+        nothing = torch.full_like(self.reached, torch.nan)
+        ends = []
+        for i in range(max(len(self.ends), len(part.ends))):
+            mine = self.ends[i] if i < len(self.ends) else nothing
+            theirs = part.ends[i] if i < len(part.ends) else nothing[rows]
+            ends.append(mine.index_copy(0, rows, theirs))
+        return replace(self, mesh=put(self.mesh, at, part.mesh), ends=tuple(ends), **columns)
 
     @property
     def trail(self) -> list[list[float]]:
