@@ -9,7 +9,6 @@ from torch import Tensor
 from ..layering.following import follow_walls
 from ..layering.layers import Layers, find_layers
 from ..mesh.batch import MeshBatch, vertex_mesh
-from ..mesh.connectivity import boundary_edges, keys_of
 
 
 class Path(Protocol):
@@ -45,14 +44,9 @@ def with_layers(batch: MeshBatch, walls: Path) -> tuple[MeshBatch, Path, Tensor]
     if not len(layers):
         return batch, walls, has_layers
     has_layers[vertex_mesh(batch)[layers.corners[:, 0]]] = True
-    count = len(batch.points)
-    edges = layers.edges()
-    keys = keys_of(edges, count)
-    there = torch.cat([batch.constrained_edges, boundary_edges(batch.triangles, batch.twin)])
-    keys = keys[~torch.isin(keys, keys_of(there, count))].unique()
     held = replace(
         batch,
-        fixed=batch.fixed | layers.vertices(count),
-        constrained_edges=torch.cat([batch.constrained_edges, torch.stack([keys // count, keys % count], 1)]),
+        fixed=batch.fixed | layers.vertices(len(batch.points)),
+        constrained_edges=torch.cat([batch.constrained_edges, layers.loose_edges(batch)]),
     )
     return held, LayeredPath(walls, layers, batch.points), has_layers

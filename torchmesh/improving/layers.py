@@ -16,7 +16,7 @@ from torch import Tensor
 from ..layering.following import follow_walls
 from ..layering.layers import Layers, find_layers
 from ..mesh.batch import MeshBatch, put, triangle_mesh, vertex_mesh
-from ..mesh.connectivity import boundary_edges, keys_of
+from ..mesh.connectivity import keys_of
 from ..mesh.measure import upright
 from ..mesh.ragged import rows_of
 from .runner import Job, Log
@@ -117,7 +117,8 @@ class _Held:
         # The walls are interfaces, in part; those hold still for their layers, even where they may move otherwise.
         held = with_walls & ~given.fixed
         rows = state.of_given_vertices(torch.arange(len(state.origin.mesh.points), device=points.device))
-        origin, edges = _origin(state.origin, rows, points, held, with_walls, layers.edges())
+        edges = layers.loose_edges(given)
+        origin = _origin(state.origin, rows, points, held, with_walls, edges)
         mesh = replace(state.mesh, points=points, fixed=state.mesh.fixed | held)
         added = keys_of(rows[edges], len(state.origin.mesh.points))
         mesh = replace(mesh, constrained_edges=torch.cat([mesh.constrained_edges, edges]))
@@ -146,35 +147,21 @@ class _Held:
         return replace(done, mesh=mesh, origin=origin)
 
 
-def _origin(
-    origin: Given, rows: Tensor, points: Tensor, held: Tensor, with_walls: Tensor, edges: Tensor
-) -> tuple[Given, Tensor]:
-    """`origin` with the layers of some of its meshes held, and those of the `edges` (K, 2) that it did not have.
+def _origin(origin: Given, rows: Tensor, points: Tensor, held: Tensor, with_walls: Tensor, edges: Tensor) -> Given:
+    """`origin` with the layers of some of its meshes held.
 
     rows  (V,) int64 the rows of these meshes' vertices in the origin, which the other arguments are numbered by
     """
     mesh = origin.mesh
-    count = len(mesh.points)
-    keys = keys_of(rows[edges], count)
-    taken = torch.isin(keys, keys_of(mesh.constrained_edges, count)) | torch.isin(keys, _boundary_keys(mesh))
-    # Each edge once, in the order of keys, which is that of meshes.
-    keys = keys[~taken].unique()
-    new = torch.stack([keys // count, keys % count], 1)
-    back = torch.full((count,), -1, device=rows.device)
-    back[rows] = torch.arange(len(rows), device=rows.device)
-    all_held, layers = (torch.zeros(count, dtype=torch.bool, device=rows.device) for _ in range(2))
+    all_held, layers = (torch.zeros(len(mesh.points), dtype=torch.bool, device=rows.device) for _ in range(2))
     all_held[rows], layers[rows] = held, with_walls
     mesh = replace(
         mesh,
         points=mesh.points.index_copy(0, rows, points.to(mesh.points.dtype)),
         fixed=mesh.fixed | all_held,
-        constrained_edges=torch.cat([mesh.constrained_edges, new]),
+        constrained_edges=torch.cat([mesh.constrained_edges, rows[edges]]),
     )
-    return replace(origin, mesh=mesh, stays=origin.stays | layers, layers=layers), back[new]
-
-
-def _boundary_keys(mesh: MeshBatch) -> Tensor:
-    return keys_of(boundary_edges(mesh.triangles, mesh.twin), len(mesh.points))
+    return replace(origin, mesh=mesh, stays=origin.stays | layers, layers=layers)
 
 
 def _notes(layers: Layers, owner: Tensor, points: Tensor) -> dict[int, str]:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch, constrained_half_edges
-from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from ..mesh.connectivity import boundary_edges, keys_of, next_in_triangle, previous_in_triangle
 from ..mesh.measure import upright
 
 
@@ -81,11 +81,17 @@ class Layers:
         mask[self.corners[:, 2:].reshape(-1)] = True
         return mask
 
-    def edges(self) -> Tensor:
-        """(K, 2) int64, each edge of the quadrilaterals and each diagonal once or twice."""
+    def loose_edges(self, batch: MeshBatch) -> Tensor:
+        """(K, 2) int64, the edges of the quadrilaterals and their diagonals that flips of `batch` may remove.
+
+        These are the edges that are neither constrained nor on the boundary.
+        """
         a, b, c, d = self.corners.unbind(1)
         sides = [torch.stack(pair, 1) for pair in ((a, b), (b, c), (c, d), (d, a))]
-        return torch.cat([*sides, self.diagonal])
+        keys = keys_of(torch.cat([*sides, self.diagonal]), len(batch.points))
+        held = torch.cat([batch.constrained_edges, boundary_edges(batch.triangles, batch.twin)])
+        keys = keys[~torch.isin(keys, keys_of(held, len(batch.points)))].unique()
+        return torch.stack([keys // len(batch.points), keys % len(batch.points)], 1)
 
     def up_to(self, share: float) -> "Layers":
         """The lowest rows, this share of those of each strip, rounded up."""
