@@ -178,7 +178,7 @@ def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
     elif status in (Status.STALLED, Status.ITERATION_LIMIT) and log.steps[b][-1].inverted:
         text = left_over(reason or text, log.steps[b], not options.may_flip)
         text += INTERFACES_HELD if _tangled_at_interface(b, state) else ""
-    return text + state.notes[b]
+    return text if status == Status.NOT_FINITE else text + state.notes[b]
 
 
 def _moved(state: State) -> Tensor:

@@ -3,9 +3,11 @@
     python -m experiments.robustness.attack files --minutes 5 --seed 0
     python -m experiments.robustness.attack files --only vtu,off --start 1200
     python -m experiments.robustness.attack meshes --minutes 5 --seed 0
+    python -m experiments.robustness.attack signals --minutes 5 --seed 0
 
     files    mutated files of every format: each is read, or refused in one line, and soon
     meshes   hard domains, vertices anywhere, boundaries at fault: each is mended, or told truly, and soon
+    signals  commands that are interrupted at any moment: one line, nothing half-written, batches go on where they were
 
 A trial is a function of the part, the seed, its kind and its number, so that what fails can be made again with --only
 and --start.  Prints each fault, then how much was tried; the exit status is 1 if there was a fault.
@@ -18,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 
-from experiments.robustness.attack import files, meshes
+from experiments.robustness.attack import files, meshes, signals
 from experiments.shared import arguments
 
 # The trials of a part: a function of the seed, the kinds of trials (None: all) and the number of the first, which
@@ -26,6 +28,7 @@ from experiments.shared import arguments
 PARTS: dict[str, Callable[[int, list[str] | None, int], Iterator[tuple[str, str]]]] = {
     "files": files.trials,
     "meshes": meshes.trials,
+    "signals": signals.trials,
 }
 
 
