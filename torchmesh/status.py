@@ -16,6 +16,7 @@ class Status(enum.IntEnum):
     NOT_FINITE = 7
     INFEASIBLE = 8
     FAILED = 9
+    PARTLY = 10
 
     @property
     def message(self) -> str:
@@ -31,6 +32,7 @@ _MESSAGES = {
     Status.ITERATION_LIMIT: "stopped at the limit of iterations; raise it to go on",
     Status.INVERTED: "refused: the mesh has inverted triangles; untangle it first",
     Status.NOT_FINITE: "refused: a position, or the energy of the start, is not a finite number to compute with",
+    Status.PARTLY: "partly mended: what can be mended is, the rest is named",
     Status.INFEASIBLE: "impossible: the boundary or the constraints admit no valid mesh",
     Status.FAILED: "an error inside a stage; the mesh is as the other stages left it",
 }

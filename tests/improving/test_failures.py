@@ -6,7 +6,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh import ImproveOptions, Status, improve, join
-from torchmesh.improving import stages, strategies
+from torchmesh.improving import faults, stages, strategies
 from torchmesh.untangling import averaging
 
 # Where a stage or another part of the strategy does its work, the options under which it does, and its name.
@@ -16,7 +16,7 @@ PLACES = [
     (stages.smoothing, "smooth", {}, "smooth"),
     (stages.smoothing, "smooth", {"boundary": "slide"}, "smooth"),
     (stages.polishing, "polish", {}, "polish"),
-    (strategies, "diagnose", {}, "diagnose"),
+    (faults, "diagnose", {}, "diagnose"),
     (strategies, "same_frame", {}, "certify"),
     (strategies, "size_field", {"topology": "full"}, "sizes"),
     (strategies, "size_conformity", {"topology": "full"}, "sizes"),

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-import time
+import re
 
 import meshes
 import numpy as np
@@ -108,7 +108,7 @@ def assert_report_is_true(before: MeshBatch, after: MeshBatch, report) -> None:
     assert all(row.stage != "initial" and row.seconds >= 0 for row in report.steps[0][1:])
     assert report.status.dtype == torch.int64
     assert report.status.item() != Status.RUNNING
-    failed = report.status.item() in (Status.INFEASIBLE, Status.STALLED, Status.ITERATION_LIMIT)
+    failed = report.status.item() in (Status.INFEASIBLE, Status.PARTLY, Status.STALLED, Status.ITERATION_LIMIT)
     assert failed == (count > 0)
     assert len(report.messages) == len(report.steps) == 1
     assert report.messages[0]
@@ -265,12 +265,12 @@ def test_an_absolute_beta_pushes_whatever_is_smaller():
 @pytest.mark.parametrize("name", list(HOPELESS))
 def test_an_impossible_boundary_ends_soon_and_is_reported(name, way):
     before = HOPELESS[name]()
-    started = time.perf_counter()
     after, report = improve(before, WAYS[way])
-    # The work of a few dozen sweeps over sixty triangles; an endless loop would take for ever.
-    assert time.perf_counter() - started < 20
+    # An endless loop would show in the number of stages and of iterations.
+    assert len(report.steps[0]) < 120
+    assert sum(step.iterations for step in report.steps[0]) < 6_000
     assert report.valid.tolist() == report.certified.tolist() == [False]
-    assert report.status.item() in (Status.INFEASIBLE, Status.STALLED)
+    assert report.status.item() in (Status.INFEASIBLE, Status.PARTLY, Status.STALLED)
     assert bool(after.points.isfinite().all())
     assert_same_domain(before, after)
     assert_report_is_true(before, after, report)
@@ -279,8 +279,8 @@ def test_an_impossible_boundary_ends_soon_and_is_reported(name, way):
         report.check()
 
 
-@pytest.mark.parametrize("name", ["crossed boundary", "hole outside", "mirror image", "one point", "a line"])
-def test_an_impossible_boundary_is_told_before_any_work(name):
+@pytest.mark.parametrize("name", ["hole outside", "mirror image"])
+def test_a_boundary_that_is_impossible_as_a_whole_is_told_before_any_work(name):
     before = HOPELESS[name]()
     after, report = improve(before)
     assert report.status.tolist() == [Status.INFEASIBLE]
@@ -288,7 +288,22 @@ def test_an_impossible_boundary_is_told_before_any_work(name):
     assert torch.equal(after.points, before.points)
 
 
-def test_what_kept_triangles_cannot_mend_is_told_before_any_work():
+@pytest.mark.parametrize("name", ["crossed boundary", "one point", "a line"])
+def test_a_mesh_with_an_impossible_boundary_comes_back_as_it_was_or_with_fewer_inverted_triangles(name):
+    before = HOPELESS[name]()
+    after, report = improve(before)
+    if int(report.quality.inverted) < inverted(before):
+        assert report.status.tolist() == [Status.PARTLY]
+        assert "inverted triangles are left" in report.messages[0]
+    else:
+        # The crossed boundary turns as often as a valid one, which proves nothing; the crossing is told all the same.
+        assert report.status.tolist() == [Status.STALLED if name == "crossed boundary" else Status.INFEASIBLE]
+        assert re.search(r"meet at|are both at", report.messages[0])
+        assert torch.equal(after.points, before.points)
+        assert torch.equal(after.triangles, before.triangles)
+
+
+def test_what_kept_triangles_cannot_mend_is_told():
     points, triangles = meshes.grid_arrays(4, 4)
     # The corner (1, 0), in one triangle with its two neighbours, pushed in beyond their diagonal.
     points[20] = [0.78, 0.22]
@@ -296,7 +311,6 @@ def test_what_kept_triangles_cannot_mend_is_told_before_any_work():
     after, report = improve(before, ImproveOptions(topology="keep"))
     assert report.status.tolist() == [Status.INFEASIBLE]
     assert "three fixed vertices" in report.messages[0]
-    assert [row.stage for row in report.steps[0]] == ["initial"]
     assert torch.equal(after.points, before.points)
     assert improve(before)[1].valid.tolist() == [True]
 

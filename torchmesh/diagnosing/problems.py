@@ -23,6 +23,20 @@ class ProblemKind(str, Enum):
     FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
     NO_KERNEL = "the fixed ring round a free vertex leaves it no place"
 
+    @property
+    def local(self) -> bool:
+        """Is the problem one of a place, so that what is out of its reach can be mended?"""
+        K = ProblemKind
+        return self not in (K.NO_AREA, K.HOLE_INSIDE_OUT, K.HOLE_OUTSIDE, K.NOT_PLANE)
+
+    @property
+    def proves(self) -> bool:
+        """Is it a proof that no valid mesh exists?
+
+        It is none where a mesh may lie over itself: a strip of more than one turn is valid.
+        """
+        return self not in (ProblemKind.DUPLICATE_VERTICES, ProblemKind.BOUNDARY_CROSSING)
+
 
 @dataclass(frozen=True)
 class Problem:

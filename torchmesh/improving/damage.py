@@ -23,11 +23,12 @@ from ..optimising.median_metric import median_metric, usual_ratio
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, target_from, target_quality
 from ..status import Status
+from .faults import end_the_tangled, find_faults
 from .options import Damage, ImproveOptions
 from .parts import Parts, PartsLog, Pasted, paste
 from .runner import Log, Runner
 from .state import Edits, State
-from .strategies import certify, compare_sizes, improve_batch, tell_the_hopeless
+from .strategies import certify, compare_sizes, improve_batch
 
 
 def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
@@ -37,7 +38,7 @@ def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
         parts, tries, how = found
         mending = mending.after(parts, tries, _worked_on(mending, parts, how, log))
     run, state = Runner(log), mending.ended()
-    state = tell_the_hopeless(state, run, options)
+    state = end_the_tangled(find_faults(state, run, options), run, options)
     state = state.ended(state.running, Status.STALLED)
     return certify(compare_sizes(state, run, options), run, options)
 

@@ -110,6 +110,8 @@ class Shard:
     quality: Quality
     status: Tensor
     reasons: tuple[str, ...]
+    faults: tuple[str, ...]
+    impossible: Tensor
     notes: tuple[str, ...]
     certified: Tensor
     conformity: SizeConformity | None
@@ -120,8 +122,8 @@ class Shard:
     def of(cls, state: State, log: Log) -> "Shard":
         """The shard with a finished state and its log."""
         return cls(
-            state.mesh.points, state.mesh.triangles, state.quality, state.status, state.reasons, state.notes,
-            state.certified, state.conformity, state.failures, log.steps,
+            state.mesh.points, state.mesh.triangles, state.quality, state.status, state.reasons, state.faults,
+            state.impossible, state.notes, state.certified, state.conformity, state.failures, log.steps,
         )  # fmt: skip
 
     @staticmethod
@@ -136,6 +138,8 @@ class Shard:
             quality=Quality(*(torch.cat([getattr(s.quality, name) for s in shards]) for name in columns)),
             status=torch.cat([s.status for s in shards]),
             reasons=tuple(text for s in shards for text in s.reasons),
+            faults=tuple(text for s in shards for text in s.faults),
+            impossible=torch.cat([s.impossible for s in shards]),
             notes=tuple(text for s in shards for text in s.notes),
             certified=torch.cat([s.certified for s in shards]),
             conformity=_joined_conformity(shards),

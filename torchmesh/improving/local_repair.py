@@ -104,6 +104,8 @@ class Submeshes:
             quality=Quality(area, ratio, upright, mean, segment_max(ratio, offsets), part.quality.inverted),
             status=part.status,
             reasons=part.reasons,
+            faults=part.faults,
+            impossible=part.impossible,
             notes=part.notes,
             certified=part.certified,
             failures=part.failures,

@@ -25,6 +25,9 @@ class Rounds:
     paper_patience       a mesh leaves the loop of the paper after so many rounds in a row in which that number did not
                          fall at all
     paper_quiet          or after so many rounds in a row without a flip in which L-BFGS took its least number of steps
+    last_untangling      the regularised functional as the last resort where edges may flip, and beside a fault: its
+                         work is bounded, since hardly a mesh gets so far that can be untangled
+    rings_round_faults   where a fault leaves triangles inverted, so many rings of vertices round them stay as they are
     """
 
     flip_rounds: int = 2
@@ -32,6 +35,10 @@ class Rounds:
     patience: int = 2
     paper_patience: int = 10
     paper_quiet: int = 4
+    last_untangling: UntangleOptions = field(
+        default_factory=lambda: UntangleOptions(size_sweeps=(100,), max_iterations=60, work=400_000)
+    )
+    rings_round_faults: int = 2
 
 
 @dataclass(frozen=True)

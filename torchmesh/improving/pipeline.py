@@ -22,6 +22,7 @@ from ..status import Status
 from ..untangling.untangling import check_reference
 from ..warping.femwarp import with_held
 from .damage import improve_damage
+from .faults import INTERFACES_HELD
 from .forked import can_fork, in_processes, one_thread
 from .layers import keeping_layers
 from .local_repair import on_submeshes
@@ -29,7 +30,7 @@ from .options import ImproveOptions
 from .report import Progress, Report, left_over
 from .runner import Job, Log
 from .state import Edits, State
-from .strategies import INTERFACES_HELD, improve_batch
+from .strategies import improve_batch
 from .stretched import keeping_stretch
 from .travel import travel_of
 
@@ -83,8 +84,15 @@ def improve(
         unfit = unfit_meshes(batch)
         work, elsewhere = (batch, None) if bool(fit_positions(batch.points).all()) else on_a_line(batch, unfit)
         _check_options(work, options)
+        in_line = None
+        if options.slides and options.at_boundary == "slide":
+            from ..smoothing.boundary_order import in_order
+
+            work, in_line = in_order(work, hold)
         state = State.of(work, options, hold).ended(unfit, Status.NOT_FINITE)
         state = state.explained({b: what_is_unfit(batch, b)[0] for b in unfit.nonzero().squeeze(1).tolist()})
+        if in_line is not None:
+            state = state.noted({b: _in_line_text(int(in_line[b])) for b in in_line.nonzero().squeeze(1).tolist()})
         log.mark("initial", state, torch.ones_like(state.valid))
         state = whole_job(options, workers if shared else 1)(state, log)
         report = report_on(state, log, options)
@@ -110,6 +118,10 @@ def _put_back(state: State, given: Tensor, rows: Tensor) -> Tensor:
     points = state.mesh.points.clone()
     points[now[now >= 0]] = given[rows[now >= 0]]
     return points
+
+
+def _in_line_text(count: int) -> str:
+    return f"; {count} boundary vertices that had passed each other were put back in order along their straight side"
 
 
 def whole_job(options: ImproveOptions, workers: int) -> Job:
@@ -168,15 +180,17 @@ def _regions_text(b: int, regions: RegionAreas | None) -> str:
 
 def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
     """Why the work on mesh `b` ended."""
-    status, reason = Status(int(state.status[b])), state.reasons[b]
+    status, fault = Status(int(state.status[b])), state.faults[b]
     text = status.message
     if status in (Status.INFEASIBLE, Status.NOT_FINITE):
-        text = reason
+        text = fault
+    elif status == Status.PARTLY:
+        text = f"{text}: {log.steps[b][-1].inverted} inverted triangles are left; {fault}"
     elif status == Status.FAILED:
         text = "; ".join(f"the stage {name} failed: {error}" for name, error in state.failures[b])
         text = left_over(text, log.steps[b], not options.may_flip) if log.steps[b][-1].inverted else text
     elif status in (Status.STALLED, Status.ITERATION_LIMIT) and log.steps[b][-1].inverted:
-        text = left_over(reason or text, log.steps[b], not options.may_flip)
+        text = left_over(fault or state.reasons[b] or text, log.steps[b], not options.may_flip)
         text += INTERFACES_HELD if _tangled_at_interface(b, state) else ""
     return text if status == Status.NOT_FINITE else text + state.notes[b]
 

@@ -10,6 +10,7 @@ the rows of some meshes are taken out of it when a stage asks for them.
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -26,6 +27,8 @@ from ..optimising.targets import Targets, as_targets, narrow
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
 from .options import ImproveOptions
+
+_T = TypeVar("_T")
 
 # The columns of `Quality` that have a row a triangle; the others have one a mesh.
 _OF_TRIANGLES = ("area", "inverse_mean_ratio", "upright")
@@ -91,7 +94,10 @@ class State:
     meshes     (B,) int64, ascending
     quality    of `mesh`
     status     (B,) int64 `Status`: RUNNING until it is known how the mesh ends
-    reasons    for each mesh why it cannot be mended, as far as that is known, or ""
+    reasons    for each mesh why the last attempt went no further, or ""
+    faults     for each mesh what is wrong with its boundary or with what is fixed, or ""
+    impossible  (B,) bool, it is proved that no valid mesh exists
+    inverted_given  (B,) int64 inverted triangles of the mesh as given
     notes      for each mesh what the report says besides, or ""
     failures   for each mesh the stages that ended with an error, and the errors
     certified  (B,) bool, set at the end: the mesh is valid and its frame is the one given
@@ -113,6 +119,9 @@ class State:
     quality: Quality
     status: Tensor
     reasons: tuple[str, ...]
+    faults: tuple[str, ...]
+    impossible: Tensor
+    inverted_given: Tensor
     notes: tuple[str, ...]
     certified: Tensor
     tethered: Tensor
@@ -173,6 +182,9 @@ class State:
             quality=q,
             status=torch.full((count,), Status.RUNNING, device=device),
             reasons=("",) * count,
+            faults=("",) * count,
+            impossible=torch.zeros(count, dtype=torch.bool, device=device),
+            inverted_given=q.inverted,
             notes=("",) * count,
             certified=torch.zeros(count, dtype=torch.bool, device=device),
             tethered=(q.inverted == 0) & options.stays_near,
@@ -216,6 +228,11 @@ class State:
         return ~self.valid & self.running
 
     @property
+    def faulty(self) -> Tensor:
+        """(B,) bool: something is wrong with the boundary of the mesh, or with what is fixed."""
+        return torch.tensor([bool(text) for text in self.faults], dtype=torch.bool, device=self.meshes.device)
+
+    @property
     def given(self) -> MeshBatch:
         """These meshes as the caller gave them."""
         return self.origin.mesh.select(self._of_origin())
@@ -254,9 +271,9 @@ class State:
         """The state where it is known that the meshes `at` (B,) bool end with `status`."""
         return replace(self, status=torch.where(at, int(status), self.status))
 
-    def explained(self, reasons: dict[int, str]) -> "State":
-        """The state with `reasons` for some meshes, by their row."""
-        return replace(self, reasons=tuple(reasons.get(b, old) for b, old in enumerate(self.reasons)))
+    def explained(self, faults: dict[int, str]) -> "State":
+        """The state with the faults of some meshes, by their row."""
+        return replace(self, faults=tuple(faults.get(b, old) for b, old in enumerate(self.faults)))
 
     def noted(self, notes: dict[int, str]) -> "State":
         """The state with something added to the notes of some meshes, by their row."""
@@ -288,6 +305,9 @@ class State:
             quality=_select_quality(self.quality, at, spread(at, self.mesh.triangle_offsets)),
             status=self.status[at],
             reasons=tuple(self.reasons[b] for b in chosen),
+            faults=tuple(self.faults[b] for b in chosen),
+            impossible=self.impossible[at],
+            inverted_given=self.inverted_given[at],
             notes=tuple(self.notes[b] for b in chosen),
             certified=self.certified[at],
             tethered=self.tethered[at],
@@ -328,18 +348,21 @@ class State:
 
     def _with_rows_of_meshes(self, at: Tensor, part: "State") -> "State":
         """This state with what has one row a mesh taken from `part`."""
-        found = zip(part.reasons, part.notes, part.failures, strict=True)
-        texts = dict(zip(at.nonzero().squeeze(1).tolist(), found, strict=True))
-        kept = zip(self.reasons, self.notes, self.failures, strict=True)
-        reasons, notes, failures = zip(*(texts.get(b, old) for b, old in enumerate(kept)), strict=True)
+        row = {b: i for i, b in enumerate(at.nonzero().squeeze(1).tolist())}
+
+        def mixed(old: tuple[_T, ...], new: tuple[_T, ...]) -> tuple[_T, ...]:
+            return tuple(new[row[b]] if b in row else entry for b, entry in enumerate(old))
+
         return replace(
             self,
             status=_put_rows(self.status, at, part.status),
             certified=_put_rows(self.certified, at, part.certified),
             conformity=_put_conformity(self, at, part),
-            reasons=reasons,
-            notes=notes,
-            failures=failures,
+            impossible=_put_rows(self.impossible, at, part.impossible),
+            reasons=mixed(self.reasons, part.reasons),
+            faults=mixed(self.faults, part.faults),
+            notes=mixed(self.notes, part.notes),
+            failures=mixed(self.failures, part.failures),
         )
 
     def _exchanged(self, at: Tensor, part: "State") -> "State":

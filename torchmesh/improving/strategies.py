@@ -12,20 +12,20 @@ Every mesh goes its own way; the meshes that take the same stage are worked on t
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
-from typing import Literal
 
 import torch
 from torch import Tensor
 
-from ..diagnosing.diagnosis import diagnose
 from ..flipping.delaunay import FlipOptions
-from ..mesh.batch import MeshBatch, constraint_owner
+from ..mesh.batch import MeshBatch
 from ..mesh.certificate import same_frame
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
-from ..mesh.neighbourhoods import rewired
+from ..mesh.neighbourhoods import rewired, surroundings
 from ..mesh.ragged import segment_any
+from ..mesh.submesh import submesh
 from ..optimising.metric_field import MetricField
+from ..optimising.moves import Monitor
 from ..remeshing.criteria import crowded
 from ..remeshing.metric_sizing import metric_conformity
 from ..remeshing.options import RemeshOptions
@@ -34,8 +34,9 @@ from ..smoothing.polishing import bad_triangles
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
 from ..untangling.options import UntangleOptions
+from .faults import end_the_tangled, find_faults, taken_back
 from .options import ImproveOptions
-from .runner import Log, Runner
+from .runner import Log, Runner, Stage, Work
 from .stages import (
     attempt,
     average,
@@ -56,9 +57,6 @@ from .travel import tethered
 
 Step = Callable[[State, Runner], State]
 
-# What is said of a tangled mesh that might be mended if its interfaces could move.
-INTERFACES_HELD = "; its interfaces are held where they are: interfaces='free' (--interfaces free) lets them move"
-
 
 def improve_batch(state: State, log: Log, options: ImproveOptions) -> State:
     """The whole job on a batch, in this process and mesh by mesh as a whole."""
@@ -74,12 +72,14 @@ def improve_batch(state: State, log: Log, options: ImproveOptions) -> State:
 def strategy(o: ImproveOptions) -> list[Step]:
     """The steps of the whole job, in order."""
     if o.method == "paper":
-        return [partial(step, o=o) for step in (tell_the_hopeless, paper, certify)]
-    steps = [tell_the_hopeless, untangle_by_averaging]
+        return [partial(step, o=o) for step in (find_faults, paper, certify)]
+    steps = [find_faults, untangle_by_averaging]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
-    steps += [untangle_with_triangles_kept]
+    steps += [untangle_with_triangles_kept, end_the_tangled]
     steps += [flip_and_smooth if o.may_flip else smooth_slivers, smooth_at_last]
+    if o.smooth.targets is None:
+        steps += [better_the_sound]
     if o.travels:
         steps += [let_vertices_travel]
     if o.polishes:
@@ -94,6 +94,7 @@ def strategy(o: ImproveOptions) -> list[Step]:
 
 def paper(state: State, run: Runner, o: ImproveOptions) -> State:
     """Kim 2017, figure 2."""
+    state = state.ended(state.tangled & state.impossible, Status.INFEASIBLE)
     stall = Stall.of(state.quality.inverted)
     for turn in range(o.untangle_rounds):
         if not bool(state.tangled.any()):
@@ -103,43 +104,13 @@ def paper(state: State, run: Runner, o: ImproveOptions) -> State:
         state, moved = run("untangle-beta", untangle_beta(step_2), state, state.tangled)
         stall = stall.after(state.quality.inverted, flipped.flips, moved.iterations, short=step_2 != o.untangle)
         state = state.ended(state.tangled & stall.reached(o.rounds, o.may_flip), Status.STALLED)
+    state = taken_back(state, run, state.faulty & (state.quality.inverted > state.inverted_given))
     state = state.ended(state.tangled, Status.ITERATION_LIMIT)
     state, _ = run("smooth", smooth(o.smooth), state, state.valid)
     return state.ended(state.running, Status.SETTLED)
 
 
 # --- from tangled to valid ---
-
-
-def tell_the_hopeless(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Meshes that no method can mend are told, before any work on them."""
-    return run.quietly("diagnose", partial(_diagnosed, o=o), state, state.tangled)
-
-
-def _diagnosed(state: State, o: ImproveOptions) -> State:
-    """The tangled meshes of `state`, of which those that no method can mend have ended."""
-    found: dict[int, list[str]] = {}
-    may_change: Literal["keep", "flip"] = "flip" if o.may_flip else "keep"
-    for problem in diagnose(state.mesh, may_change, interfaces=state.origin.interfaces):
-        found.setdefault(problem.mesh, []).append(problem.message)
-    reasons = {}
-    for b, texts in found.items():
-        more = f"; and {len(texts) - 5} more of the kind" if len(texts) > 5 else ""
-        reasons[b] = "; ".join(texts[:5]) + more
-    hopeless = torch.zeros_like(state.valid)
-    hopeless[torch.tensor(list(found), dtype=torch.int64, device=hopeless.device)] = True
-    state = state.explained(reasons).ended(hopeless, Status.INFEASIBLE)
-    return state.noted(dict.fromkeys(_stuck_by_interfaces(state, hopeless, may_change), INTERFACES_HELD))
-
-
-def _stuck_by_interfaces(state: State, hopeless: Tensor, may_change: Literal["keep", "flip"]) -> list[int]:
-    """Those of the meshes `hopeless` (B,) bool in which nothing is in the way but interfaces that are held."""
-    has = torch.zeros_like(hopeless).index_fill_(0, constraint_owner(state.mesh), True)
-    rows = (hopeless & has).nonzero().squeeze(1).tolist()
-    if state.origin.interfaces == "free" or not rows:
-        return []
-    left = {problem.mesh for problem in diagnose(state.mesh.select(hopeless & has), may_change, interfaces="free")}
-    return [b for i, b in enumerate(rows) if i not in left]
 
 
 def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -171,13 +142,18 @@ def untangle_by_retriangulation(state: State, run: Runner, o: ImproveOptions) ->
 
 def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -> State:
     """The regularised functional, first from the positions that were given, then from those that averaging gave."""
-    if bool(state.tangled.any()):
-        state, _ = run("regularised", attempt(regularised(UntangleOptions()), _given), state, state.tangled)
+    # Where edges may flip, the other ways have mended what can be mended beside a fault.
+    hopeful = state.tangled & ~(state.impossible & o.may_flip)
+    bounded = state.faulty | o.may_flip
+    for at, options in ((hopeful & bounded, o.rounds.last_untangling), (hopeful & ~bounded, UntangleOptions())):
+        if not bool(at.any()):
+            continue
+        state, _ = run("regularised", attempt(regularised(options), _given), state, at)
         assert state.averaged is not None
         elsewhere = segment_any((state.averaged != state.given.points).any(1), state.given.point_offsets)
-        again = regularised(UntangleOptions(size_sweeps=(100,)))
-        state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & elsewhere)
-    return replace(state.ended(state.tangled, Status.STALLED), averaged=None)
+        again = regularised(replace(options, size_sweeps=(100,)))
+        state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & at & elsewhere)
+    return replace(state, averaged=None)
 
 
 def _given(state: State) -> MeshBatch:
@@ -272,12 +248,39 @@ def polish_the_worst(state: State, run: Runner, o: ImproveOptions) -> State:
     return run("polish", tethered(polish(o.polish)), state, segment_any(bad, state.mesh.triangle_offsets))[0]
 
 
+def better_the_sound(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Beside the faults of meshes that are mended in part, shapes become good, too."""
+    return run("smooth", _beside_the_inverted(o), state, state.status == Status.PARTLY)[0]
+
+
+def _beside_the_inverted(o: ImproveOptions) -> Stage:
+    """Flips and smoothing of the triangles that are apart from the inverted ones, whose surroundings stay."""
+
+    def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        mesh = state.mesh
+        sound = ~touching(mesh.triangles, surroundings(mesh, ~state.quality.upright, o.rounds.rings_round_faults))
+        if not bool(sound.any()):
+            return state, Work.done(state)
+        held = mesh.fixed | corners_of(mesh.triangles, ~sound, len(mesh.points))
+        taken = submesh(replace(mesh, fixed=held), sound)
+        log = Log(len(state))
+        part = State.of(taken.mesh, replace(o, boundary="fixed", smooth=replace(o.smooth, boundary="fixed")))
+        part = flip_and_smooth(part, Runner(log), o) if o.may_flip else part
+        part = smooth_in_fitting_precision(part, Runner(log), o, o.smooth, part.valid)
+        counts = ([sum(getattr(s, n) for s in steps) for steps in log.steps] for n in ("flips", "iterations"))
+        flips, iterations = (torch.tensor(c, dtype=torch.int64, device=held.device) for c in counts)
+        return state.at(taken.put_back(mesh, part.mesh)), Work.done(state, flips=flips, iterations=iterations)
+
+    return stage
+
+
 # --- vertices that come and go ---
 
 
 def remove_where_there_is_no_room(state: State, run: Runner, o: ImproveOptions) -> State:
     """The last resort of topology "full" for meshes that nothing has mended."""
-    stuck = ~state.valid & (state.status == Status.STALLED)
+    # Beside a fault, room is not what is missing.
+    stuck = ~state.valid & (state.status == Status.STALLED) & ~state.faulty
     if bool(stuck.any()):
         state, _ = run("vertex-removal", remove_vertices(o.remesh), state, stuck)
     return state.ended(stuck & state.valid, Status.SETTLED)

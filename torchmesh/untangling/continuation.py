@@ -17,6 +17,9 @@ from ..optimising.objective import MeshObjective, Packing
 from ..status import Status
 from .options import UntangleOptions
 
+# A step on a small mesh takes as long as one on so many triangles more, for what does not depend on their number.
+_OVERHEAD = 1750
+
 # Epsilon never falls below this number (Garanzha et al. 2021).
 _LEAST_EPS = 1e-9
 
@@ -108,6 +111,12 @@ def _lower_epsilon(
         stuck = (result.iterations == 0) | ((eps[rows] >= 0.999 * here) & (result.status == Status.SETTLED))
         stuck |= stall.reached(turn, rows, here, lowest, segment_count(det <= 0, objective.triangle_offsets))
         info.status[rows[stuck]] = Status.STALLED
+        if options.work is not None:
+            most = options.work // (counts_from_offsets(objective.triangle_offsets) + _OVERHEAD)
+            spent = (info.iterations[rows] >= most.clamp_min(options.least_steps)) & (
+                info.status[rows] == Status.RUNNING
+            )
+            info.status[rows[spent & (lowest <= 0)]] = Status.ITERATION_LIMIT
     info.status[rows[lowest > 0]] = Status.VALID
     info.status[info.status == Status.RUNNING] = Status.ITERATION_LIMIT
 

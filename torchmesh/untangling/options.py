@@ -29,6 +29,9 @@ class UntangleOptions:
     settled_tolerance  the same for the last minimisation of "regularised", at the least epsilon, of valid meshes
     first_step         root mean square length of the first step, in local sizes
     max_continuations  number of values of epsilon after which "regularised" stops
+    work               bound of the work of "regularised" from one start: steps of L-BFGS times the sum of the triangles
+                       and 1,750, which a step's time on a small mesh comes to; None: no bound
+    least_steps        so many steps it may take whatever the size of the mesh
     stall_patience     values of epsilon over which "regularised" judges whether a mesh still gains.  A mesh stalls when
                        all three hold: its lowest determinant is not up and its inverted triangles are not down to
                        `stall_ratio` of what they were, and the determinant is below -`stall_depth` times epsilon.
@@ -53,6 +56,8 @@ class UntangleOptions:
     settled_tolerance: float = 1e-5
     first_step: float = 0.1
     max_continuations: int = 200
+    work: int | None = None
+    least_steps: int = 150
     stall_patience: int = 10
     stall_ratio: float = 0.9
     stall_depth: float = 8.0

@@ -19,6 +19,7 @@ from ..mesh.batch import MeshBatch, constrained_half_edges, join
 from ..mesh.interfaces import holding
 from ..triangulating.arrays import Obstacle, among, distinct, signs
 from ..triangulating.polygon import unit_exponent
+from ..triangulating.touching import plane_boundary
 from .cavity import Cavity
 from .repair_check import why_not_certified
 
@@ -76,8 +77,9 @@ def untangle_by_retriangulation(mesh: MeshBatch, keep: Tensor | None = None) -> 
 
     Each cavity starts as the inverted triangles and the ring around them.  It grows ring by ring until its boundary is
     a polygon around its fixed vertices that does not cross itself; at last it is all that the boundary and the
-    constrained edges close off.  `keep` is that of `retriangulate`.  When `ok` is False, the cavities that could be
-    repaired are, and `reason` says what stopped the others.
+    constrained edges close off.  It stops growing where the boundary of the mesh crosses itself in it.  `keep` is that
+    of `retriangulate`.  When `ok` is False, the cavities that could be repaired are, and `reason` says what stopped the
+    others.
     Raises InvalidMeshError for a batch of several meshes.
     """
     _triangles_of_one(mesh)
@@ -138,6 +140,7 @@ class _Work:
         if self.keep.shape != self.fixed.shape or self.keep.dtype != np.bool_:
             raise InvalidMeshError(f"keep must be ({len(original)},) bool, not {self.keep.shape} {self.keep.dtype}")
         self.walls = np.sort(self._keys(*_numpy(mesh.constrained_edges).T))
+        self.boundary = self._keys(*_numpy(connectivity.boundary_edges(mesh.triangles, mesh.twin)).T)
         self.moved = np.zeros(len(original), bool)
         self.rewritten = np.zeros(len(self.triangles), bool)
         self.cavities = 0
@@ -157,9 +160,10 @@ class _Work:
                 wanted = _with_ring(self.triangles, region, wanted)
             for rows, outer in sorted(self.components(wanted), key=lambda component: len(component[0])):
                 reason = self.rebuild(rows, outer)
-                if reason and len(rows) == size[region[rows[0]]]:
+                final = bool(reason) and (len(rows) == size[region[rows[0]]] or self._crosses_itself(rows, outer))
+                if final:
                     reasons.append(reason)
-                if not reason or len(rows) == size[region[rows[0]]]:
+                if not reason or final:
                     wanted[rows] = False
             attempt += 1
         return reasons
@@ -213,6 +217,13 @@ class _Work:
         self.rewritten[rows] = True
         self.cavities += 1
         return ""
+
+    def _crosses_itself(self, rows: np.ndarray, outer: np.ndarray) -> bool:
+        """Does the boundary of the mesh cross itself within this component, so that no larger one can be rebuilt?"""
+        corners = self.triangles[rows]
+        ends = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)[outer]
+        ends = ends[among(self._keys(*ends.T), self.boundary)]
+        return len(ends) > 0 and not plane_boundary(self.points, ends).sound
 
     def _made_twice(
         self, rows: np.ndarray, vertices: np.ndarray, corners: np.ndarray, boundary: np.ndarray
