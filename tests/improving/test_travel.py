@@ -37,6 +37,7 @@ def travelled(before, after) -> torch.Tensor:
 OPTIONS = {
     "default": ImproveOptions(),
     "fast": ImproveOptions.fast(),
+    "slide": ImproveOptions(boundary="slide"),
     "keep": ImproveOptions(topology="keep"),
 }
 

@@ -145,7 +145,7 @@ class ImproveOptions:
     polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None means none.
                       Polishing is not done with topology "keep", targets, or method "paper"
     relocate          whether vertices travel far where shapes stay poor: "auto" in meshes that came tangled, True
-                      also in valid ones, False nowhere.  If sizes, targets, a reference, sliding or topology "full"
+                      also in valid ones, False nowhere.  If sizes, targets, a reference or topology "full"
                       are asked for, vertices may travel far in any case.  Otherwise no vertex of a valid mesh goes
                       further than the mesh is wide there: the mean length of the edges at the vertex as given
     untangle_rounds   the greatest number of rounds of flipping and untangling
@@ -260,7 +260,7 @@ class ImproveOptions:
     def stays_near(self) -> bool:
         """Whether a vertex of a valid mesh stays within the width of the mesh there."""
         asked = self.remesh.sizes_asked or self.smooth.targets is not None or self.reference is not None
-        far = self.relocate is True or asked or self.slides or self.topology == "full"
+        far = self.relocate is True or asked or self.topology == "full"
         return not far and self.method == "default"
 
     @property

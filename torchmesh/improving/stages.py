@@ -113,12 +113,16 @@ def smooth(options: SmoothOptions) -> Stage:
     """Moves the lively vertices until triangles have good shapes; all vertices if none are named, or if some slide."""
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        free = state.lively if state.curves is None else None
+        curves = state.curves
+        free = state.lively if curves is None else None
         if state.held is not None:
             free = ~state.held if free is None else free & ~state.held
+            curves = None if curves is None else curves.holding(state.held, state.mesh.point_offsets)
         towards = replace(_at_interfaces(options, state), targets=state.targets)
-        mesh, info = smoothing.smooth(state.mesh, towards, free=free, monitor=monitor, curves=state.curves)
-        curves = state.curves if info.curves is None else info.curves
+        mesh, info = smoothing.smooth(state.mesh, towards, free=free, monitor=monitor, curves=curves)
+        if info.curves is not None and state.curves is not None:
+            # What was held may slide again in the next stage.
+            curves = replace(info.curves, slides=state.curves.slides)
         return replace(state.at(mesh), curves=curves), Work.done(state, iterations=info.iterations)
 
     return stage
