@@ -31,7 +31,7 @@ def random_valid(seed: int) -> MeshBatch:
     """One of five kinds of valid meshes."""
     makers = [
         lambda: meshes.scrambled(meshes.delaunay(30, seed), seed, 40),
-        lambda: meshes.jittered(5, 6, 0.15, seed),
+        lambda: meshes.jittered(5, 6, 0.1, seed),
         lambda: meshes.l_shape(2 + seed % 3),
         lambda: meshes.ring(7 + seed % 9, 2 + seed % 3),
         lambda: meshes.scrambled(meshes.disc(8 + seed % 5, 3), seed, 30),
