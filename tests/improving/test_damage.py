@@ -135,7 +135,7 @@ def test_a_place_beside_one_in_vain_is_mended_by_a_smaller_try():
     assert 0 < len(left) < inverted(mesh)
     assert bool((left[:, :, None] == lower).any(1).all(1).any())
     assert not bool(torch.isin(left, torch.tensor(astray[1:])).any())
-    assert report.status.tolist() == [tm.Status.INFEASIBLE]
+    assert report.status.tolist() == [tm.Status.PARTLY]
 
 
 def test_a_part_grows_until_it_can_be_mended():
