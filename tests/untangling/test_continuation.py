@@ -69,3 +69,20 @@ def test_a_mesh_stalls_when_it_gained_nothing_over_the_patience(before, now, sta
 
     assert not any(ask(turn, *before) for turn in range(options.stall_patience))
     assert ask(options.stall_patience, *now) is stalls
+
+
+def test_the_steps_of_a_mesh_that_cannot_be_untangled_are_bounded_by_work():
+    import meshes
+
+    from torchmesh.status import Status
+    from torchmesh.untangling.options import UntangleOptions
+    from torchmesh.untangling.untangling import untangle
+
+    mesh = meshes.grid(6, 6)
+    points = mesh.points.clone()
+    points[:, 0] = torch.where(mesh.fixed, -points[:, 0], points[:, 0])  # the boundary is inside out
+    mesh = mesh.with_points(points)
+    options = UntangleOptions(size_sweeps=(100,), max_iterations=10, work=1, least_steps=30, stall_depth=1e9)
+    _, info = untangle(mesh, options)
+    assert info.status.item() in (Status.ITERATION_LIMIT, Status.STALLED)
+    assert int(info.iterations) <= 40
