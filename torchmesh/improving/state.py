@@ -285,6 +285,8 @@ class State:
 
     def has_failed_in(self, stage: str) -> Tensor:
         """(B,) bool: the stage ended with an error in the mesh."""
+        if not any(self.failures):
+            return torch.zeros(len(self), dtype=torch.bool, device=self.meshes.device)
         found = [any(name == stage for name, _ in failures) for failures in self.failures]
         return torch.tensor(found, dtype=torch.bool, device=self.meshes.device)
 
