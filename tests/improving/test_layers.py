@@ -57,17 +57,35 @@ def test_with_a_reference_layers_follow_a_body_that_turns(topology, degrees):
     assert report.messages[0].endswith("layer of 8 over 24 wall edges, first height 1e-05: kept")
 
 
-def test_a_layer_for_which_there_is_no_room_gives_way_row_by_row():
+@pytest.mark.parametrize("topology", ["flip", "full"])
+def test_a_layer_for_which_there_is_no_room_gives_way_row_by_row(topology):
     mesh = round_body(sides=24, rows=8, first=0.01, growth=1.5, around=2, far=2.0)
     found = find_layers(mesh)
     assert float(found.height.sum()) / 24 > 0.3
     # The wall comes within 0.1 of the outer boundary; its layer is higher than that.
     moved = turned_body(mesh, 24, 0.0, (0.9, 0.0))
-    out, report = improve(moved, ImproveOptions(reference=mesh))
+    out, report = improve(moved, ImproveOptions(topology=topology, reference=mesh))
     assert bool(report.valid[0])
     assert_same_domain(moved, out)
-    assert int(torch.tensor([step.stage == "whole" for step in report.steps[0]]).sum()) >= 1
-    assert "layer of" in report.messages[0]
+    if report.vertex_map is not None:
+        kept = report.vertex_map.old_to_new[:24]
+        assert torch.equal(out.points[kept], moved.points[:24])
+    assert [step.stage for step in report.steps[0]][-1] == "layers"
+    assert "layer of 4 over" in report.messages[0] or "layer of 2 over" in report.messages[0]
+
+
+def test_a_fault_elsewhere_does_not_cost_a_mesh_its_layers():
+    """Two vertices of the outer boundary have changed places, which nothing mends while the boundary is fixed."""
+    mesh = round_body(sides=16, rows=5, growth=2.0, around=3)
+    points = mesh.points.clone()
+    points[[-3, -4]] = points[[-4, -3]]
+    moved = mesh.with_points(points)
+    out, report = improve(moved)
+    assert not bool(report.valid[0])
+    held = find_layers(mesh).vertices(len(mesh.points))
+    assert torch.equal(out.points[held], mesh.points[held])
+    assert "kept" in report.messages[0]
+    assert "not kept" not in report.messages[0]
 
 
 def test_equilateral_shapes_and_targets_have_no_layers():

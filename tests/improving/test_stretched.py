@@ -68,3 +68,11 @@ def test_joined_equals_alone_to_the_bit():
         alone, _ = improve(mesh, options)
         assert torch.equal(alone.points, joined.points)
         assert torch.equal(alone.triangles, joined.triangles)
+
+
+def test_an_observer_sees_the_meshes_that_change_their_number_of_vertices():
+    batch, seen = join([disc(), stretched(delaunay(60))]), []
+    after, _ = improve(batch, ImproveOptions(topology="full"), observe=lambda stage, mesh: seen.append((stage, mesh)))
+    assert {"initial", "smooth", "remesh"} <= {stage for stage, _ in seen}
+    assert all(len(mesh) in (1, 2) for _, mesh in seen)
+    assert len(after) == 2

@@ -5,7 +5,7 @@
                                     held there, and their edges are constrained    as free as before
 
 A held layer may leave the rest no room, for example where a wall has come too near to another one.  A mesh that stays
-tangled is therefore tried again with the lower half of the rows, with a quarter, and at last without any.
+tangled is therefore tried again without its layers; if that is better, with the lower half of the rows, or a quarter.
 """
 
 from dataclasses import dataclass, replace
@@ -15,15 +15,15 @@ from torch import Tensor
 
 from ..layering.following import follow_walls
 from ..layering.layers import Layers, find_layers
-from ..mesh.batch import MeshBatch, put, triangle_mesh, vertex_mesh
+from ..mesh.batch import MeshBatch, triangle_mesh, vertex_mesh
 from ..mesh.connectivity import keys_of
 from ..mesh.measure import upright
 from ..mesh.ragged import rows_of
 from .runner import Job, Log
 from .state import Given, State
 
-# The parts of its rows that a layer is tried with; after the last one it is not held.
-_SHARES = (1.0, 0.5, 0.25)
+# Where not all rows of a layer can be held, these parts of them are tried, the larger first.
+_SHARES = (0.5, 0.25)
 # So many layers of a mesh are named in its message.
 _NAMED = 3
 
@@ -35,7 +35,9 @@ def keeping_layers(job: Job) -> Job:
         layers = find_layers(state.given if state.reference is None else state.reference, known=_known(state))
         if not len(layers):
             return job(state, log)
-        return _with_fewer_rows(job, state, log, layers, 0)
+        done, has_layers = _with(layers, job, state, log)
+        again = has_layers & ~done.valid
+        return _with_fewer_rows(layers, job, state, done, again, log) if bool(again.any()) else done
 
     return keep
 
@@ -45,21 +47,37 @@ def _known(state: State) -> Tensor | None:
     return state.quality.upright if state.reference is None else None
 
 
-def _with_fewer_rows(job: Job, state: State, log: Log, layers: Layers, turn: int) -> State:
-    """The job with `layers` held; the meshes that stay tangled are tried again with fewer of their rows."""
-    held = _Held.of(state, layers.up_to(_SHARES[turn]))
+def _with(layers: Layers, job: Job, state: State, log: Log) -> tuple[State, Tensor]:
+    """The job with these layers held, and (B,) bool in which meshes any are."""
+    held = _Held.of(state, layers)
     every = torch.arange(len(state), device=state.meshes.device)
-    done = held.released(job(held.state, log.view(every, lambda mesh: _as_free(mesh, state.mesh))), state)
-    again = held.has_layers & ~done.valid
-    if not bool(again.any()):
-        return done
-    begun = state.select(again)
+    done = job(held.state, log.view(every, lambda mesh: _as_free(mesh, state.mesh)))
+    return held.released(done, state), held.has_layers
+
+
+def _with_fewer_rows(layers: Layers, job: Job, state: State, done: State, again: Tensor, log: Log) -> State:
+    """`done` with the meshes `again` (B,) bool tried with fewer rows, where that leaves fewer inverted triangles."""
+    begun = state.select(again).naming_after(done)
     log.mark("whole", done.put(again, begun), again, kept=False)
-    view = log.view(again.nonzero().squeeze(1), lambda mesh: put(done.mesh, again, mesh))
-    if turn + 1 < len(_SHARES):
-        return done.put(again, _with_fewer_rows(job, begun, view, _of_meshes(layers, state, again), turn + 1))
+    view = log.of_meshes(done.mesh, again)
     note = dict.fromkeys(range(len(begun)), "; there is no room for its layers, which were not kept")
-    return done.put(again, job(begun, view).noted(note))
+    found = job(begun, view).noted(note)
+    # A mesh that is no better without its layers has another fault.
+    better = found.quality.inverted < done.quality.inverted[again]
+    layers, left = _of_meshes(layers, state, again), better & found.valid
+    for share in _SHARES:
+        if bool(left.any()):
+            some = _of_meshes(layers, begun, left).up_to(share)
+            part, _ = _with(some, job, begun.select(left).naming_after(found), view.of_meshes(found.mesh, left))
+            good = left.clone()
+            good[left] = part.valid
+            found = found.put(good, part.select(part.valid)) if bool(good.any()) else found
+            left = left & ~good
+    at = again.clone()
+    at[again] = better
+    whole = done.put(at, found.select(better)) if bool(better.any()) else done
+    log.mark("layers", whole, again)
+    return whole
 
 
 def _of_meshes(layers: Layers, state: State, at: Tensor) -> Layers:

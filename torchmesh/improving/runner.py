@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from ..mesh.batch import MeshBatch
+from ..mesh.batch import MeshBatch, put
 from ..optimising.moves import Monitor
 from .report import Progress, Step
 from .state import State
@@ -119,6 +119,19 @@ class Log:
         view.steps = [self.steps[b] for b in rows]
         view._as_whole = lambda i, row: self._as_whole(rows[i], step(i, row))
         return view
+
+    def of_meshes(self, whole: MeshBatch, at: Tensor) -> "Log":
+        """A view for work on the meshes `at` (B,) bool of the batch `whole`.
+
+        Once their vertices or triangles have come and gone, the observer is shown these meshes alone.
+        """
+        part = whole.select(at)
+
+        def pasted(mesh: MeshBatch) -> MeshBatch:
+            same = len(mesh.points) == len(part.points) and len(mesh.triangles) == len(part.triangles)
+            return put(whole, at, mesh) if same else mesh
+
+        return self.view(at.nonzero().squeeze(1), pasted)
 
     def begin(self, stage: str, state: State, at: Tensor) -> Monitor | None:
         """Note that a stage begins on the meshes `at` (B,) bool; returns the monitor for its minimisations."""

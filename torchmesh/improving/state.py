@@ -325,6 +325,13 @@ class State:
             failures=tuple(self.failures[b] for b in chosen),
         )
 
+    def naming_after(self, other: "State") -> "State":
+        """This state, in which inserted vertices get names that `other`, of the same origin, has not given to its own.
+
+        Two ways that begin at one state, and whose results are put together, go one after the other like this.
+        """
+        return self if other.names is None else replace(self, names=other.names.renamed(self.vertex_names.of))
+
     def put(self, at: Tensor, part: "State") -> "State":
         """This state with the meshes `at` (B,) bool replaced by those of `part`, which came of `select(at)`.
 

@@ -51,24 +51,17 @@ def keeping_stretch(job: Job, options: ImproveOptions, limits: StretchOptions | 
         field, at = metric
         done = state
         if not bool(at.all()):
-            done = done.put(~at, job(state.select(~at), _view(log, done, ~at)))
-        part = state.select(at)
+            done = done.put(~at, job(state.select(~at), log.of_meshes(done.mesh, ~at)))
+        part = state.select(at).naming_after(done)
         rows = spread(at, state.mesh.point_offsets)
         towards = MetricField(field[rows])
         aiming = replace(options, smooth=replace(options.smooth, targets=towards))
         stretched = partial(improve_batch, options=aiming)
         note = dict.fromkeys(range(len(part)), "; a mesh stretched throughout: its own shapes were the aim")
-        found = stretched(replace(part, targets=towards).noted(note), _view(log, done, at))
+        found = stretched(replace(part, targets=towards).noted(note), log.of_meshes(done.mesh, at))
         return done.put(at, replace(found, targets=None))
 
     return keep
-
-
-def _view(log: Log, state: State, at: Tensor) -> Log:
-    """A log of the meshes `at` (B,) bool of `state`."""
-    from ..mesh.batch import put
-
-    return log.view(at.nonzero().squeeze(1), lambda mesh: put(state.mesh, at, mesh))
 
 
 def own_metric(state: State, limits: StretchOptions) -> tuple[Tensor, Tensor] | None:
