@@ -104,7 +104,8 @@ def test_a_mesh_that_cannot_be_mended_is_written_and_said(tmp_path):
         warnings.simplefilter("ignore")
         write(tmp_path / "crossed.vtu", MeshBatch.from_arrays(points, triangles))
     (result,) = improve_jobs([job(tmp_path, "crossed.vtu")], ImproveOptions(), 1000)
-    assert (result.status, result.valid, result.error) == ("infeasible", False, None)
+    # Edges that cross are a fault of the boundary; nothing proves that no valid mesh lies over itself there.
+    assert (result.status, result.valid, result.error) == ("stalled", False, None)
     assert "meet at about (1, 0.945946)" in result.message
     assert result.inverted_after > 0
     assert Path(result.output).exists()
