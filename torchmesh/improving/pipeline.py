@@ -20,7 +20,7 @@ from ..optimising.targets import as_targets, check_fit
 from ..remeshing.sizing import size_field
 from ..status import Status
 from ..untangling.untangling import check_reference
-from ..warping.femwarp import with_held
+from ..warping.femwarp import checked_hold, with_held
 from .damage import improve_damage
 from .faults import INTERFACES_HELD
 from .forked import can_fork, in_processes, one_thread
@@ -72,6 +72,7 @@ def improve(
     """
     options = options or ImproveOptions()
     check_rows(batch)
+    hold = None if hold is None else checked_hold(batch, hold)
     if options.reference is not None:
         check_reference(batch, options.reference)
     workers = options.workers or torch.get_num_threads()

@@ -38,12 +38,15 @@ def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None)
 
 def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:
     """The batch with the vertices `hold` (V,) bool fixed, too; InvalidMeshError for another shape or type."""
-    if hold is None:
-        return batch
+    return batch if hold is None else replace(batch, fixed=batch.fixed | checked_hold(batch, hold))
+
+
+def checked_hold(batch: MeshBatch, hold: Tensor) -> Tensor:
+    """`hold` as (V,) bool on the device of the batch; InvalidMeshError for another shape or type."""
     hold = torch.as_tensor(hold, device=batch.fixed.device)
     if hold.dtype != torch.bool or hold.shape != batch.fixed.shape:
         raise InvalidMeshError(f"hold must be ({len(batch.fixed)},) bool, not {tuple(hold.shape)} {hold.dtype}")
-    return replace(batch, fixed=batch.fixed | hold)
+    return hold
 
 
 def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
