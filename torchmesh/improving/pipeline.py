@@ -21,7 +21,6 @@ from ..remeshing.sizing import size_field
 from ..status import Status
 from ..untangling.untangling import check_reference
 from ..warping.femwarp import checked_hold, with_held
-from .damage import improve_damage
 from .faults import INTERFACES_HELD
 from .forked import can_fork, in_processes, one_thread
 from .layers import keeping_layers
@@ -127,7 +126,11 @@ def _in_line_text(count: int) -> str:
 
 def whole_job(options: ImproveOptions, workers: int) -> Job:
     """The strategy in the wrappers that the options ask for; a wrapper has no effect where it is not needed."""
-    job: Job = partial(improve_damage if options.scope == "damage" else improve_batch, options=options)
+    job: Job = partial(improve_batch, options=options)
+    if options.scope == "damage":
+        from .damage import improve_damage
+
+        job = partial(improve_damage, options=options)
     if options.local and options.scope == "all":
         job = on_submeshes(job, options)
     if options.keeps_shapes:
