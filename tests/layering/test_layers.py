@@ -56,8 +56,13 @@ def test_what_a_deformation_flattens_is_no_layer():
     assert len(find_layers(cases)) == 0
 
 
+def test_two_or_three_rows_that_a_motion_left_are_no_layer():
+    assert len(find_layers(flat_layer(columns=9, rows=3, growth=1.3))) == 0
+    assert int(find_layers(flat_layer(columns=9, rows=5, growth=1.3)).row.max()) == 5
+
+
 def test_neighbours_that_differ_in_height_are_no_layer():
-    mesh = flat_layer(columns=9, rows=3)
+    mesh = flat_layer(columns=9, rows=5)
     points = mesh.points.clone()
     # Every other column is six times as high.
     points[1::2, 1] *= 6

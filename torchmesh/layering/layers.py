@@ -32,7 +32,8 @@ class LayerOptions:
     turn     the cosine of the greatest angle between the lower and the upper edge of a quadrilateral
     shrink   a row is at least this part of the row below it high: layers grow outwards
     alike    the first rows of neighbouring strips, and the columns beside them, differ by at most this factor
-    rows     a layer has at least so many rows somewhere nearby
+    rows     a layer has at least so many rows, side by side in at least three strips.  A motion may flatten a few
+             triangles at a wall into two or three rows: an airfoil that turned by 60 degrees did
     """
 
     first: float = 0.25
@@ -41,7 +42,7 @@ class LayerOptions:
     turn: float = 0.5
     shrink: float = 0.8
     alike: float = 2.0
-    rows: int = 2
+    rows: int = 4
 
     def __post_init__(self) -> None:
         for f in fields(self):
