@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import torch
@@ -61,10 +62,10 @@ def moved_families(count: int, triangles: int) -> list[tm.MeshBatch]:
     return [mesh for mesh in found if not int(tm.quality(mesh).inverted[0])][:count]
 
 
-def row_of(name: str, relocate: bool | str, meshes: list[tm.MeshBatch]) -> list[str]:
+def row_of(name: str, relocate: Literal["auto"] | bool, meshes: list[tm.MeshBatch]) -> list[str]:
     """What becomes of a set of meshes."""
     batch = tm.join([mesh for mesh in meshes if not int(tm.quality(mesh).inverted[0])])
-    after, report = tm.improve(batch, tm.ImproveOptions(relocate=relocate, workers=1))  # type: ignore[arg-type]
+    after, report = tm.improve(batch, tm.ImproveOptions(relocate=relocate, workers=1))
     q, travel = report.quality, report.travel
     assert travel is not None
     assert bool(report.valid.all())
@@ -88,7 +89,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             "travel, 95 %", "travel, furthest"]  # fmt: skip
     print(clocks.machine())
     print()
-    print(tables.table(head, [row_of(name, r, found) for name, found in sets.items() for r in ("auto", True, False)]))
+    ways: tuple[Literal["auto"] | bool, ...] = ("auto", True, False)
+    print(tables.table(head, [row_of(name, way, found) for name, found in sets.items() for way in ways]))
     return 0
 
 
