@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 import torch
 from children import started
 from command_line import Outcome, inverted, names, process
+from layered import round_body
 
 from torchmesh import quality, read, write
 from torchmesh.commands import console
@@ -286,3 +288,47 @@ def test_the_shapes_of_a_reference_are_kept(call, folder):
     done = call("improve", "turned.vtu", "out.vtu", "--reference", "other.vtu")
     assert done.status == 2
     assert "the reference has" in done.err
+
+
+def layered(named: bool) -> meshio.Mesh:
+    """A disc with layers round the unit circle, turned to meshio; the wall is the physical group `airfoil` if named."""
+    body = round_body()
+    wall = np.stack([np.arange(24), (np.arange(24) + 1) % 24], 1)
+    mesh = meshio.Mesh(np.pad(body.points.numpy(), ((0, 0), (0, 1))), [("triangle", body.triangles.numpy())])
+    if named:
+        mesh.cells.append(meshio.CellBlock("line", wall))
+        tags = [np.full(len(b.data), n) for n, b in enumerate(mesh.cells, 1)]
+        mesh.cell_data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+        mesh.field_data = {"fluid": np.array([1, 2]), "airfoil": np.array([2, 1])}
+    return mesh
+
+
+@pytest.mark.parametrize("named", [True, False], ids=["a group", "a position"])
+def test_found_layers_are_told_with_the_name_of_their_wall_or_its_position(call, folder, named):
+    layered(named).write(folder / "layers.msh", file_format="gmsh22", binary=False)
+    done = call("improve", "layers.msh", "out.msh", "--report", "r.json")
+    assert (done.status, done.err) == (0, "")
+    told = re.search(r"found: (layer of 8 at (.*), first height 0.0001: kept)", done.out)
+    assert told[1] in json.loads((folder / "r.json").read_text())["message"]
+    if named:
+        assert told[2] == "wall 'airfoil'"
+    else:
+        x, y = map(float, re.fullmatch(r"the wall near \((.*), (.*)\)", told[2]).groups())
+        assert abs(x * x + y * y - 1) < 1e-5
+
+
+def test_the_place_of_a_fault_that_is_left_is_printed(call, folder):
+    """Two neighbours of the lower side are in one position, so that the triangle on their edge is flat."""
+    mesh = meshes.grid(12, 12)
+    points = mesh.points.clone()
+    points[(points - points.new_tensor([0.75, 0.75])).norm(dim=1).argmin()] += 0.2
+    one, other = ((mesh.points - mesh.points.new_tensor([x, 0.0])).norm(dim=1).argmin() for x in (3 / 12, 4 / 12))
+    points[one] = points[other]
+    write(folder / "fault.vtu", mesh.with_points(points))
+    done = call("improve", "fault.vtu", "out.vtu", "--report", "r.json")
+    report = json.loads((folder / "r.json").read_text())
+    assert (done.status, report["status"]) == (1, "partly")
+    said = [line for line in done.err.splitlines() if line.startswith("not valid: 1 inverted triangle in out.vtu")]
+    assert len(said) == 1
+    assert f"vertices {min(int(one), int(other))} and {max(int(one), int(other))} are both at (0.333333, 0)" in said[0]
+    assert call("improve", "fault.vtu", "out.vtu", "--boundary", "slide").status == 0

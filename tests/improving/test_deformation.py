@@ -306,8 +306,16 @@ def test_bad_input_is_named():
     bad = mesh.points.clone()
     row = int(mesh.fixed.nonzero()[3])
     bad[row, 0] = math.nan
-    with pytest.raises(InvalidMeshError, match=f"new_points row {row} is"):
-        deform(mesh, bad)
+    after, report = deform(mesh, bad)
+    assert report.status.tolist() == [Status.NOT_FINITE]
+    assert report.messages[0].startswith(f"new_points row {row} is [nan")
+    assert torch.equal(after.points, mesh.points)
+    with pytest.raises(ConvergenceError, match=f"mesh 0: new_points row {row}"):
+        report.check()
+    with pytest.raises(InvalidMeshError, match="new_points must be real"):
+        deform(mesh, mesh.points > 0)
+    with pytest.raises(InvalidMeshError, match="new_points is not a rectangular"):
+        deform(mesh, [[0.0], [1.0, 2.0]])
     tangled = meshes.TANGLED["jittered"]()
     with pytest.raises(InvalidMeshError, match=r"mesh 1: triangles row .* deform starts from a valid mesh"):
         deform(join([mesh, tangled]), torch.cat([mesh.points, tangled.points]))
@@ -361,3 +369,30 @@ def test_a_layer_that_leaves_no_way_is_let_go():
     assert not torch.allclose(first_heights(with_layers, 24), first_heights(body, 24), rtol=0.1)
     without = DeformOptions(improve=ImproveOptions(shapes="equilateral"))
     assert report.steps.tolist() == deform(body, goal, options=without)[1].steps.tolist()
+
+
+@pytest.mark.parametrize("where", ["own", "goal"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e200])
+def test_positions_that_are_not_finite_stop_their_mesh_alone(where, value):
+    mesh = channel()
+    parts, goals = [mesh, mesh, mesh], [mesh.points * 1.1, mesh.points, mesh.points * torch.tensor([1.2, 1.0])]
+    alone = [deform(parts[b], goals[b]) for b in (0, 2)]
+    spoilt = mesh.points.clone()
+    spoilt[int(mesh.fixed.nonzero()[3]), 1] = value
+    if where == "own":
+        parts[1] = mesh.with_points(spoilt)
+    else:
+        goals[1] = spoilt
+    after, report = deform(join(parts), torch.cat(goals))
+    assert report.status[1] == report.report.status[1] == Status.NOT_FINITE
+    assert not report.valid[1]
+    assert report.path[1] == []
+    assert report.messages[1].startswith("points row" if where == "own" else "new_points row")
+    done = after.split()
+    assert torch.equal(done[1].points.nan_to_num(7), parts[1].points.nan_to_num(7))
+    for b, (own, own_report) in zip((0, 2), alone, strict=True):
+        assert torch.equal(done[b].points, own.points)
+        assert torch.equal(done[b].triangles, own.triangles)
+        assert report.status[b] == own_report.status[0]
+        assert report.messages[b] == own_report.messages[0]
+        assert report.path[b] == own_report.path[0]

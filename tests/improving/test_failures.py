@@ -7,6 +7,7 @@ import torch
 import torchmesh as tm
 from torchmesh import ImproveOptions, Status, improve, join
 from torchmesh.improving import faults, stages, strategies
+from torchmesh.smoothing import boundary_order, sliding
 from torchmesh.untangling import averaging
 
 # Where a stage or another part of the strategy does its work, the options under which it does, and its name.
@@ -92,3 +93,50 @@ def test_what_is_wrong_with_the_options_is_raised_at_once():
     targets = torch.eye(2).expand(3, 2, 2)
     with pytest.raises(tm.InvalidMeshError, match="targets must be"):
         improve(mesh, ImproveOptions(topology="keep", smooth=tm.SmoothOptions(targets=targets)))
+
+
+@pytest.mark.parametrize("place", ["fit_curves", "_side"])
+def test_an_error_while_the_boundary_is_prepared_touches_one_mesh(monkeypatch, place):
+    """The curves to slide along, and the order of straight sides, are found before any stage."""
+    options = ImproveOptions(boundary="slide", workers=1)
+    good = [folded(mesh) for mesh in given()]
+    alone = [improve(mesh, options) for mesh in good]
+    guilty = good[1].with_points(good[1].points * 4)
+    module = sliding if place == "fit_curves" else boundary_order
+    verb, calls = getattr(module, place), []
+
+    def fails(points, *args, **kwargs):
+        if bool((points > 2).any()):
+            calls.append(len(points))
+            raise IndexError("on purpose")
+        return verb(points, *args, **kwargs)
+
+    monkeypatch.setattr(module, place, fails)
+    after, report = improve(join([good[0], guilty, good[2]]), options)
+    assert calls
+    stage = "curves" if place == "fit_curves" else "boundary order"
+    assert report.status[1] == Status.FAILED
+    assert f"the stage {stage} failed: IndexError: on purpose" in report.messages[1]
+    parts = after.split()
+    for b in (0, 2):
+        assert same(parts[b], alone[b][0])
+        assert report.status[b] == alone[b][1].status[0]
+        assert report.messages[b] == alone[b][1].messages[0]
+        assert report.moved[b] == alone[b][1].moved[0]
+    if place == "fit_curves":
+        valid = [meshes.grid(5, 4), meshes.grid(5, 4).with_points(meshes.grid(5, 4).points * 4), meshes.ring()]
+        sliding_options = tm.SmoothOptions(boundary="slide")
+        moved, info = tm.smooth(join(valid), sliding_options)
+        assert info.status[1] == Status.FAILED
+        assert torch.equal(moved.split()[1].points, valid[1].points)
+        for b in (0, 2):
+            assert torch.equal(moved.split()[b].points, tm.smooth(valid[b], sliding_options)[0].points)
+
+
+def folded(mesh: tm.MeshBatch) -> tm.MeshBatch:
+    """The mesh with two neighbours on its lower side exchanged."""
+    low = (mesh.points[:, 1] == 0).nonzero().squeeze(1)
+    low = low[mesh.points[low, 0].argsort()]
+    points = mesh.points.clone()
+    points[low[[1, 2]]] = points[low[[2, 1]]]
+    return mesh.with_points(points)

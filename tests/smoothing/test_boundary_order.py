@@ -9,6 +9,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh.mesh.batch import join
+from torchmesh.mesh.means import local_widths
 from torchmesh.smoothing.boundary_order import in_order
 
 
@@ -83,3 +84,16 @@ def test_sliding_mends_what_fixed_boundaries_cannot(shift):
     assert "back in order" in report.messages[0]
     assert math.isclose(float(tm.quality(after).area.sum()), 1.0)
     assert not np.allclose(after.points, folded.points)
+
+
+def test_the_report_counts_the_vertices_that_were_put_back_in_order():
+    _, folded = passed({3: 0.7})
+    after, report = tm.improve(folded, tm.ImproveOptions(boundary="slide", workers=1))
+    assert bool(report.certified[0])
+    side = low(meshes.grid(8, 8))
+    # Those that had been passed, and the one that passed them.
+    moved = (after.points != folded.points).any(1)
+    assert bool(moved[side[3:6]].all())
+    assert int(report.moved) == int(moved.sum())
+    way = (after.points - folded.points).norm(dim=1) / local_widths(folded)
+    assert float(report.travel.max) == pytest.approx(float(way.max()))

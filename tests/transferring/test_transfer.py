@@ -223,8 +223,15 @@ def test_bad_arguments_are_named():
         transfer(mesh, meshes.grid(3, 3), torch.arange(42))
     bad = mesh.points.clone()
     bad[3] = torch.nan
-    with pytest.raises(InvalidMeshError, match="after: points row 3 is not finite"):
+    with pytest.raises(InvalidMeshError, match=r"after: mesh 0: points row 3 is \[nan, nan\]: not finite"):
         transfer(mesh, mesh.with_points(bad), torch.zeros(42))
+    with pytest.raises(InvalidMeshError, match=r"before: mesh 1: points row 45 is \[nan, nan\]: not finite"):
+        transfer(join([mesh, mesh.with_points(bad)]), join([mesh, mesh]), torch.zeros(84))
+    for values in ("here", [[0.0], [1.0, 2.0]], None):
+        with pytest.raises(InvalidMeshError, match="values are no rectangular array"):
+            transfer(mesh, mesh, values)
+    with pytest.raises(InvalidMeshError, match="values must have 42 rows"):
+        transfer(mesh, mesh, 3.0)
     with pytest.raises(InvalidMeshError, match="is inverted, and a projection needs a valid mesh"):
         transfer(mesh, meshes.jittered(6, 5, 0.6), torch.zeros(42), method="conservative")
 

@@ -100,19 +100,29 @@ def test_femwarp_refuses_an_inverted_mesh_and_names_it():
         femwarp(join([meshes.grid(), bad]), torch.cat([meshes.grid().points, bad.points]))
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e200])
 def test_femwarp_refuses_places_that_are_not_finite(bad):
     mesh = meshes.grid(2, 2)
     target = mesh.points.clone()
     target[3, 1] = bad
-    with pytest.raises(InvalidMeshError, match=r"new_points row 3 .*finite"):
+    with pytest.raises(InvalidMeshError, match=r"mesh 0: new_points row 3 .*finite"):
         femwarp(mesh, target)
+    with pytest.raises(InvalidMeshError, match=r"mesh 1: new_points row 12 .*finite"):
+        femwarp(join([mesh, mesh]), torch.cat([mesh.points, target]))
+    with pytest.raises(InvalidMeshError, match=r"mesh 1: points row 3 .*(finite|overflow)"):
+        femwarp(join([mesh, mesh.with_points(target)]), torch.cat([mesh.points, mesh.points]))
 
 
 def test_femwarp_refuses_another_number_of_points():
     mesh = meshes.grid()
     for other in (mesh.points[1:], torch.zeros(len(mesh.points), 3)):
         with pytest.raises(InvalidMeshError, match="new_points must be"):
+            femwarp(mesh, other)
+    for other in (mesh.points > 0, mesh.points.to(torch.complex128)):
+        with pytest.raises(InvalidMeshError, match="new_points must be real numbers"):
+            femwarp(mesh, other)
+    for other in ("here", [[0.0], [1.0, 2.0]], None):
+        with pytest.raises(InvalidMeshError, match="new_points is not a rectangular array"):
             femwarp(mesh, other)
 
 

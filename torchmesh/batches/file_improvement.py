@@ -11,6 +11,7 @@ what the others carry: which vertices must not slide, and where the vertices of 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 
@@ -114,7 +115,8 @@ def improve_series(
     batch = join([file.batch for file in files])
     before = quality(batch)
     hold = torch.cat([_held(file) for file in files]) if options.slides else None
-    after, report = improve(batch, options, progress=progress, observe=observe, hold=hold)
+    walls = partial(_walls, files)
+    after, report = improve(batch, options, progress=progress, observe=observe, hold=hold, walls=walls)
     meshes = after.split()
     maps = None if report.vertex_map is None else report.vertex_map.split(batch, after)
     improved, first = [], 0
@@ -130,3 +132,17 @@ def _held(file: Series) -> torch.Tensor:
     """(V,) bool for all meshes of a file: the vertices that must not slide, by the first step that has each mesh."""
     first_steps = [file.mesh_of_step.index(mesh) for mesh in range(len(file.batch))]
     return torch.cat([held(file.sources[step]) for step in first_steps])
+
+
+def _walls(files: Sequence[Series]) -> dict[str, torch.Tensor]:
+    """The named walls of several files, as rows of vertices of their joined batch."""
+    from ..files.walls import walls_of
+
+    walls: dict[str, list[torch.Tensor]] = {}
+    first = 0
+    for file in files:
+        for mesh, start in enumerate(file.batch.point_offsets[:-1].tolist()):
+            for name, edges in walls_of(file.sources[file.mesh_of_step.index(mesh)]).items():
+                walls.setdefault(name, []).append(edges + first + start)
+        first += len(file.batch.points)
+    return {name: torch.cat(edges) for name, edges in walls.items()}

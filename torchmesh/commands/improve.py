@@ -147,6 +147,9 @@ def improve(
         _write(improved, draft, report, document, plot, f"{source.name}: before and after")
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
+        note = improved.report.notes[0]
+        if note and bool(improved.report.valid[0]):  # otherwise the reason, below, says it
+            console.stdout().print(f"found: {note}", markup=False, soft_wrap=True)
         if improved.report.regions is not None:
             _print_regions(improved.report.regions)
         if str(draft.fields):

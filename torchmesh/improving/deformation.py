@@ -20,10 +20,19 @@ from ..errors import ConvergenceError
 from ..mesh.batch import MeshBatch, put
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import released
+from ..mesh.measure import quality
 from ..mesh.ragged import spread
+from ..mesh.validation import fit_positions
 from ..status import Status
 from ..warping.boundary_path import BoundaryPath
-from ..warping.femwarp import boundary_goal, femwarp, with_held
+from ..warping.femwarp import (
+    boundary_goal,
+    checked_new_points,
+    femwarp,
+    unfit_goals,
+    what_is_unfit_goal,
+    with_held,
+)
 from .deform_options import DeformOptions
 from .layered_motion import Path, with_layers
 from .motion import Motion, advance
@@ -115,18 +124,37 @@ def deform(
 
     A mesh stops on the way if its boundary runs into itself, or if its triangles (topology "keep") allow no further
     step.  It is then valid, and the report says where it stopped.  Its status is `Status.STALLED`, or
-    `Status.INFEASIBLE` when no valid mesh exists at the goal.  Raises
-    InvalidMeshError when a triangle of `batch` is inverted, or when the new positions are not finite or have another
-    shape.
+    `Status.INFEASIBLE` when no valid mesh exists at the goal.  A mesh with a position, or the goal of a fixed vertex,
+    that is not finite, or beyond 1e150, comes back as it is, with `Status.NOT_FINITE`.
+
+    Raises InvalidMeshError when a triangle of the other meshes is inverted, or when `new_points` have another shape or
+    type.
     """
     options = options or DeformOptions()
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
     given, batch = batch, with_held(batch, hold)
-    target = boundary_goal(batch, new_points, "deform")
+    asked = batch.with_points(checked_new_points(batch, new_points))
+    unfit = unfit_goals(batch, asked.points)
+    moving, target = batch, asked.points
+    if bool(unfit.any()):
+        # These meshes stand still during the motion, and `improve` leaves them as they are.
+        still = spread(unfit, batch.point_offsets)[:, None]
+        moving, target = batch.with_points(torch.where(still, 0.0, batch.points)), torch.where(still, 0.0, target)
+    if not bool(unfit.all()):
+        boundary_goal(batch.select(~unfit), target[spread(~unfit, batch.point_offsets)], "deform")
+    target = torch.where(batch.fixed[:, None], target, moving.points)
     longest = 1.0 if steps == "auto" else 1.0 / steps
-    motion, let_go = _moved(batch, target, longest, options, progress, options.improve.keeps_shapes)
+    motion, let_go = _moved(moving, target, longest, options, progress, options.improve.keeps_shapes, unfit)
+    if bool(unfit.any()):
+        bad = torch.where(fit_positions(batch.points)[:, None], asked.points, batch.points)
+        motion = replace(motion, mesh=put(motion.mesh, unfit, batch.with_points(bad).select(unfit)))
     after, report = _arrived(motion, batch.with_points(target), options, progress)
+    if bool(unfit.any()):
+        after = put(after, unfit, batch.select(unfit))
+        report = replace(report, report=replace(report.report, quality=quality(after)))
+        for b in unfit.nonzero().squeeze(1).tolist():
+            report.messages[b] = what_is_unfit_goal(batch, asked.points, b)
     for b in let_go.nonzero().squeeze(1).tolist():
         report.messages[b] += "; its layers left no way, and were not kept"
     return (after if hold is None else released(after, given, report.report.vertex_map)), report
@@ -139,24 +167,30 @@ def _moved(
     options: DeformOptions,
     progress: Callable[[Progress], None] | None,
     keep_layers: bool,
+    unfit: Tensor,
 ) -> tuple[Motion, Tensor]:
-    """The motion at its end with layers carried along, and (B,) bool which meshes were stuck and moved without them."""
+    """The motion at its end with layers carried along, and (B,) bool which meshes were stuck and moved without them.
+
+    unfit  (B,) bool, meshes that do not move
+    """
     mesh, path = batch, BoundaryPath.of(batch, target, straight=options.path == "straight")
     has_layers = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
     way: Path = path
     if keep_layers:
         mesh, way, has_layers = with_layers(batch, path)
     motion = Motion.begin(mesh, way, longest)
+    motion = replace(motion, status=torch.where(unfit, int(Status.NOT_FINITE), motion.status))
     while bool(motion.going.any()):
         before, motion = motion, advance(motion, options)
         if progress is not None and bool((motion.steps > before.steps).any()):
             progress(Progress("deform", int(before.going.sum()), 0, int(motion.steps.max())))
     free = replace(motion.mesh, fixed=batch.fixed, constrained_edges=batch.constrained_edges)
     motion = replace(motion, mesh=free if mesh is not batch else motion.mesh)
-    again = has_layers & (motion.status != Status.VALID)
+    again = has_layers & (motion.status != Status.VALID) & ~unfit
     if bool(again.any()):
         goal = target[spread(again, batch.point_offsets)]
-        motion = motion.put(again, _moved(batch.select(again), goal, longest, options, progress, False)[0])
+        bare, _ = _moved(batch.select(again), goal, longest, options, progress, False, unfit[again])
+        motion = motion.put(again, bare)
     return motion, again
 
 
@@ -167,7 +201,7 @@ def _arrived(
 
     goal  the batch that was given, at the positions where it was to go
     """
-    stuck = motion.status != Status.VALID
+    stuck = (motion.status != Status.VALID) & (motion.status != Status.NOT_FINITE)
     status, messages = _explained(motion, stuck, goal)
     warped = stuck & (status != Status.INFEASIBLE) & (options.finish == "improve")
     mesh = motion.mesh

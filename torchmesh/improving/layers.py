@@ -8,6 +8,7 @@ A held layer may leave the rest no room, for example where a wall has come too n
 tangled is therefore tried again without its layers; if that is better, with the lower half of the rows, or a quarter.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -145,7 +146,8 @@ class _Held:
         curves = None if state.curves is None else state.curves.holding(with_walls, mesh.point_offsets)
         begun = replace(state, origin=origin, curves=curves)
         begun = replace(begun, mesh=mesh) if reference is None else begun.at(mesh)
-        return cls(begun.noted(_notes(layers, owner, points)), has_layers, added)
+        called = {name: rows_in(edges, rows) for name, edges in state.origin.walls().items()}
+        return cls(begun.noted(_notes(layers, owner, points, called)), has_layers, added)
 
     def released(self, done: State, before: State) -> State:
         """`done`, what became of the held state, with vertices and edges as free as in `before`."""
@@ -182,19 +184,52 @@ def _origin(origin: Given, rows: Tensor, points: Tensor, held: Tensor, with_wall
     return replace(origin, mesh=mesh, stays=origin.stays | layers, layers=layers)
 
 
-def _notes(layers: Layers, owner: Tensor, points: Tensor) -> dict[int, str]:
-    """For the message of each mesh: how many rows its layers have, over how much wall, and how high they begin."""
+def rows_in(edges: Tensor, rows: Tensor) -> Tensor:
+    """(N, 2) those of the edges (K, 2) whose ends are among `rows` (V,), numbered by their positions in `rows`.
+
+    rows  in ascending order
+    """
+    edges = torch.as_tensor(edges, device=rows.device)
+    if not len(rows) or not len(edges):
+        return torch.zeros((0, 2), dtype=torch.int64, device=rows.device)
+    at = torch.searchsorted(rows, edges).clamp_max(len(rows) - 1)
+    return at[(rows[at] == edges).all(1)]
+
+
+def _notes(layers: Layers, owner: Tensor, points: Tensor, walls: Mapping[str, Tensor]) -> dict[int, str]:
+    """For the message of each mesh: how many rows its layers have, at which wall, and how high they begin.
+
+    walls  by name, the edges (K, 2) that are called so
+    """
+    keys = {name: keys_of(edges, len(points)) for name, edges in walls.items()}
     notes = {}
     for b in owner.unique().tolist():
         mine = layers.select(owner == b)
         texts = [
-            f"layer of {int(part.row.max())} over {int((part.row == 1).sum())} wall edges, first height "
+            f"layer of {int(part.row.max())} at {_wall_text(part, points, keys)}, first height "
             f"{float(_columns(part, points).median()):.2g}: kept"
             for part in _by_wall(mine)
         ]
         more = f"; and {len(texts) - _NAMED} more layers" if len(texts) > _NAMED else ""
         notes[b] = "; " + "; ".join(texts[:_NAMED]) + more
     return notes
+
+
+def _wall_text(layers: Layers, points: Tensor, walls: Mapping[str, Tensor]) -> str:
+    """What the wall of one layer is called: by its names, or else by a position on it.
+
+    walls  by name, the keys of the edges that are called so
+    """
+    feet = layers.corners[layers.row == 1, :2]
+    keys = keys_of(feet, len(points))
+    names = [repr(name) for name, own in walls.items() if bool(torch.isin(keys, own).any())]
+    if names:
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        return f"wall {', '.join(names[:_NAMED])}{more}"
+    # The corner of the wall that is nearest to its middle lies on the wall, which the middle need not.
+    there = points[feet.reshape(-1)].to(torch.float64)
+    x, y = there[(there - there.mean(0)).square().sum(1).argmin()].tolist()
+    return f"the wall near ({x:.6g}, {y:.6g})"
 
 
 def _columns(layers: Layers, points: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """`improve`: the strategy on a batch, on submeshes of large meshes, or in several processes, and the report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ from .local_repair import on_submeshes
 from .options import ImproveOptions
 from .report import Progress, Report, left_over
 from .runner import Job, Log
-from .state import Edits, State
+from .state import Edits, State, what_failed
 from .strategies import improve_batch
 from .stretched import keeping_stretch
 from .travel import travel_of
@@ -45,6 +45,7 @@ def improve(
     progress: Callable[[Progress], None] | None = None,
     observe: Callable[[str, MeshBatch], None] | None = None,
     hold: Tensor | None = None,
+    walls: Mapping[str, Tensor] | Callable[[], Mapping[str, Tensor]] | None = None,
 ) -> tuple[MeshBatch, Report]:
     """Give every mesh of the batch upright triangles of good shape, as far as its boundary allows.
 
@@ -58,6 +59,9 @@ def improve(
               `animate`; the first call has "initial" and the batch as given.  With one mesh, call n belongs to
               `report.steps[0][n]`
     hold      (V,) bool, vertices that neither slide nor move with interfaces that are free
+    walls     by name, boundary or constrained edges (K, 2) int64, rows of vertices of the batch: the message says at
+              which of these walls layers were kept; or a function that gives them where layers are found.  None: it
+              says where the walls are
 
     A large batch is shared among forked processes where that is safe (`ImproveOptions.workers`); `progress` is then
     called once for each shard.
@@ -84,23 +88,48 @@ def improve(
         unfit = unfit_meshes(batch)
         work, elsewhere = (batch, None) if bool(fit_positions(batch.points).all()) else on_a_line(batch, unfit)
         _check_options(work, options)
-        in_line = None
-        if options.slides and options.at_boundary == "slide":
-            from ..smoothing.boundary_order import in_order
-
-            work, in_line = in_order(work, hold)
-        state = State.of(work, options, hold).ended(unfit, Status.NOT_FINITE)
+        called = walls if callable(walls) else lambda: walls or {}
+        state = _begun(work, options, hold, called).ended(unfit, Status.NOT_FINITE)
         state = state.explained({b: what_is_unfit(batch, b)[0] for b in unfit.nonzero().squeeze(1).tolist()})
-        if in_line is not None:
-            state = state.noted({b: _in_line_text(int(in_line[b])) for b in in_line.nonzero().squeeze(1).tolist()})
         log.mark("initial", state, torch.ones_like(state.valid))
         state = whole_job(options, workers if shared else 1)(state, log)
-        report = report_on(state, log, options)
+        report = report_on(_measured_from(work, state), log, options)
         improved = state.mesh if batch is given else released(state.mesh, given, report.vertex_map)
         if elsewhere is None:
             return improved, report
         improved = improved.with_points(_put_back(state, batch.points, elsewhere))
         return improved, replace(report, quality=quality(improved))
+
+
+def _begun(
+    work: MeshBatch, options: ImproveOptions, hold: Tensor | None, walls: Callable[[], Mapping[str, Tensor]]
+) -> State:
+    """The state before any stage; where boundary vertices slide, those of straight sides are in order in it.
+
+    An error in one mesh is noted for it alone: the mesh then goes on as if nothing in it slid.
+    """
+    begun, in_line, errors = work, None, dict[int, Exception]()
+    if options.slides and options.at_boundary == "slide":
+        from ..smoothing.boundary_order import in_order_or_errors
+
+        begun, in_line, errors = in_order_or_errors(work, hold)
+    state = State.of(begun, options, hold)
+    state = replace(state, origin=replace(state.origin, walls=walls))
+    if errors:
+        own = [(("boundary order", what_failed(errors[b])),) if b in errors else () for b in range(len(state))]
+        state = replace(state, failures=tuple(a + b for a, b in zip(own, state.failures, strict=True)))
+    if in_line is not None:
+        state = state.noted({b: _in_line_text(int(in_line[b])) for b in in_line.nonzero().squeeze(1).tolist()})
+    return state
+
+
+def _measured_from(work: MeshBatch, state: State) -> State:
+    """The state with the positions of `work` as given: putting the boundary in order is part of the way."""
+    origin = state.origin
+    moved = (origin.mesh.points != work.points).any(1)
+    if not bool(moved.any()):
+        return state
+    return replace(state, origin=replace(origin, mesh=work, stays=origin.stays & ~moved))
 
 
 def _check_options(batch: MeshBatch, options: ImproveOptions) -> None:
@@ -154,6 +183,7 @@ def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
         sizes=state.conformity,
         travel=travel_of(state),
         regions=regions,
+        notes=[note.removeprefix("; ") for note in state.notes],
     )
 
 

@@ -72,6 +72,7 @@ class Report:
     quality    the `Quality` at the end
     steps      for each mesh its rows of the paper's tables, in order
     messages   for each mesh, why it ended
+    notes      for each mesh what its message says besides: the layers that were found, what was put in order
     moved      int64, the number of given vertices that are still there but at another position
     travel     `Travel`: how far vertices are from where they were given, in local widths
     remeshed   under topology "full", what splits and collapses did, with the `VertexMap` from given to returned
@@ -96,6 +97,7 @@ class Report:
     lost: list[list[str]] = field(default_factory=list)
     travel: Travel | None = None
     regions: RegionAreas | None = None
+    notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.lost.extend([] for _ in range(len(self.messages) - len(self.lost)))

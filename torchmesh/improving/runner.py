@@ -15,7 +15,7 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch, put
 from ..optimising.moves import Monitor
 from .report import Progress, Step
-from .state import State
+from .state import State, what_failed
 
 _log = logging.getLogger(__name__)
 
@@ -234,9 +234,3 @@ class Runner:
             part, done = self._guarded(name, stage, state.select(half), monitor)
             state, work = state.put(half, part), work.put(half, done)
         return state, work
-
-
-def what_failed(error: Exception) -> str:
-    """The type of an error and what it says, in one line of at most 200 characters."""
-    text = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
-    return text if len(text) <= 200 else f"{text[:197]}..."

@@ -8,6 +8,7 @@ Nothing in a state ever changes: a stage gives back another one.  What the calle
 the rows of some meshes are taken out of it when a stage asks for them.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TypeVar
@@ -43,6 +44,7 @@ class Given:
     sizes      (V,) the edge lengths asked for, or None
     stays      (V,) bool, the vertices that do not move: fixed or on interfaces, and not sliding
     interfaces  what becomes of the vertices on interfaces
+    walls      gives, by name, edges (K, 2) that messages call so: layers over them are told by these names
     layers     (V,) bool, the vertices of layers that are held, with the walls below; None: no layer is held
     """
 
@@ -51,6 +53,7 @@ class Given:
     sizes: Tensor | None
     stays: Tensor
     interfaces: Interfaces
+    walls: Callable[[], Mapping[str, Tensor]] = dict
     layers: Tensor | None = None
 
     @cached_property
@@ -153,11 +156,11 @@ class State:
         hold   (V,) bool, vertices that do not slide
         known  the quality of the batch, if the caller has it
         """
-        curves = None
+        curves, errors = None, dict[int, Exception]()
         if options.slides:
-            from ..smoothing.sliding import curves_of
+            from ..smoothing.sliding import curves_or_errors
 
-            curves = curves_of(
+            curves, errors = curves_or_errors(
                 batch,
                 options.smooth.corner_angle,
                 hold,
@@ -190,6 +193,7 @@ class State:
             tethered=(q.inverted == 0) & options.stays_near,
             curves=curves,
             targets=as_targets(options.smooth.targets),
+            failures=tuple((("curves", what_failed(errors[b])),) if b in errors else () for b in range(count)),
         )
 
     def __len__(self) -> int:
@@ -425,3 +429,9 @@ def _put_conformity(state: State, at: Tensor, part: State) -> SizeConformity | N
     nothing = torch.full_like(state.quality.mean, torch.nan)
     old = state.conformity or SizeConformity(*(nothing for _ in fields(SizeConformity)))
     return SizeConformity(*(_put_rows(getattr(old, f.name), at, getattr(part.conformity, f.name)) for f in fields(old)))
+
+
+def what_failed(error: Exception) -> str:
+    """The type of an error and what it says, in one line of at most 200 characters."""
+    text = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+    return text if len(text) <= 200 else f"{text[:197]}..."

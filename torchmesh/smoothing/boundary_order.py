@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, vertex_mesh
+from ..mesh.ragged import spread
 
 # A vertex lies on the line of a side if its distance from it is below this part of the side: rounding, and no more.
 _STRAIGHT = 1e-9
@@ -45,6 +46,26 @@ def in_order(batch: MeshBatch, hold: Tensor | None = None) -> tuple[MeshBatch, T
         return batch, moved
     moved.index_add_(0, vertex_mesh(batch)[there], torch.ones_like(moved[:1]).expand(int(there.sum())))
     return batch.with_points(torch.where(there[:, None], new, batch.points)), moved
+
+
+def in_order_or_errors(batch: MeshBatch, hold: Tensor | None = None) -> tuple[MeshBatch, Tensor, dict[int, Exception]]:
+    """As `in_order`, but a mesh in which there is an error stays as it is; the errors by the rows of their meshes."""
+    try:
+        return *in_order(batch, hold), {}
+    except Exception:
+        points, moved, errors = batch.points.clone(), torch.zeros(len(batch), dtype=torch.int64), {}
+        for b in range(len(batch)):
+            own = torch.arange(len(batch), device=batch.points.device) == b
+            rows = spread(own, batch.point_offsets)
+            try:
+                after, count = in_order(batch.select(own), None if hold is None else hold[rows])
+            except Exception as error:
+                errors[b] = error
+                continue
+            points[rows], moved[b] = after.points, count[0]
+        if not errors:
+            raise
+        return batch.with_points(points), moved.to(batch.points.device), errors
 
 
 def _turning_back(points: np.ndarray, vertices: np.ndarray, back: np.ndarray, onward: np.ndarray) -> np.ndarray:

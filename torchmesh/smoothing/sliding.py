@@ -6,7 +6,7 @@ see the difference.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -65,10 +65,45 @@ def curves_of(
         on_network = torch.zeros_like(on_network)
     if hold is not None:
         hold = torch.as_tensor(hold, device=on_network.device)
-        if hold.dtype != torch.bool or hold.shape != on_network.shape:
-            raise InvalidMeshError(f"hold must be ({len(on_network)},) bool, not {tuple(hold.shape)} {hold.dtype}")
+        check_held(batch, hold)
         on_network &= ~hold
     return fit_curves(batch.points.to(torch.float64), network, on_network, corner_angle, batch.point_offsets)
+
+
+def curves_or_errors(
+    batch: MeshBatch, corner_angle: float = 40.0, hold: Tensor | None = None, **which: Any
+) -> tuple[BoundaryCurves, dict[int, Exception]]:
+    """As `curves_of`, but an error in one mesh is not raised: on its curves no vertex slides.
+
+    Returns the curves, and the errors by the rows of their meshes.  The curves of the others are those that they have
+    alone, to the bit.
+    """
+    check_held(batch, hold)
+    try:
+        return curves_of(batch, corner_angle, hold, **which), {}
+    except Exception:
+        errors = {}
+        for b in range(len(batch)):
+            own = torch.arange(len(batch), device=batch.points.device) == b
+            try:
+                of_own = None if hold is None else hold[spread(own, batch.point_offsets)]
+                curves_of(batch.select(own), corner_angle, of_own, **which)
+            except Exception as error:
+                errors[b] = error
+        if not errors:
+            raise
+    bad = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
+    bad[list(errors)] = True
+    still = spread(bad, batch.point_offsets)
+    # What made the errors is left out: no station is on these meshes.
+    batch = batch.with_points(torch.where(still[:, None], 0.0, batch.points))
+    return curves_of(batch, corner_angle, still if hold is None else hold | still, **which), errors
+
+
+def check_held(batch: MeshBatch, hold: Tensor | None) -> None:
+    """Raise InvalidMeshError unless `hold` is None or (V,) bool."""
+    if hold is not None and (hold.dtype != torch.bool or hold.shape != batch.fixed.shape):
+        raise InvalidMeshError(f"hold must be ({len(batch.fixed)},) bool, not {tuple(hold.shape)} {hold.dtype}")
 
 
 def _network(batch: MeshBatch) -> tuple[Tensor, Tensor]:

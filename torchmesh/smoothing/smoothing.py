@@ -115,7 +115,8 @@ def smooth(
     """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
 
     No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
-    `Status.INVERTED`, and one with a position that is not finite, or beyond 1e150, with `Status.NOT_FINITE`.
+    `Status.INVERTED`, one with a position that is not finite, or beyond 1e150, with `Status.NOT_FINITE`, and one for
+    which no curves to slide along can be made with `Status.FAILED`.
 
     free     (V,) bool: of the vertices that may move, move only these; None: all
     monitor  called with the iteration and the energies of the meshes still running
@@ -127,10 +128,15 @@ def smooth(
     options = options or SmoothOptions()
     given, unfit = batch, unfit_meshes(batch)
     refused = segment_any(~upright(batch), batch.triangle_offsets) | unfit
+    failed = torch.zeros_like(refused)
     if curves is None and options.slides:
-        from .sliding import curves_of
+        from .sliding import curves_or_errors
 
-        curves = curves_of(batch, options.corner_angle, boundary=options.boundary, interfaces=options.at_interfaces)
+        curves, errors = curves_or_errors(
+            batch, options.corner_angle, boundary=options.boundary, interfaces=options.at_interfaces
+        )
+        failed[list(errors)] = True
+        refused |= failed
     batch = holding(batch, options.at_interfaces)
     stays = batch.fixed if curves is None else batch.fixed & ~curves.may_slide(batch.point_offsets)
     may_move = ~stays & ~spread(refused, batch.point_offsets)
@@ -152,6 +158,7 @@ def smooth(
     # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
     worse = segment_any(~upright(moved), batch.triangle_offsets) & ~refused
     status = torch.where(refused, Status.INVERTED, torch.where(worse, Status.STALLED, result.status))
+    status = torch.where(failed, int(Status.FAILED), status)
     status = torch.where(unfit, int(Status.NOT_FINITE), status)
     if bool(worse.any()):
         back = spread(worse, batch.point_offsets)[:, None]

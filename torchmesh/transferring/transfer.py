@@ -17,7 +17,7 @@ from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
-from ..mesh.ragged import counts_from_offsets
+from ..mesh.ragged import counts_from_offsets, owner_of
 from ..mesh.validation import fit_positions
 from .location import locate, nearest_triangles, nearest_vertices
 from .overlaps import Overlaps, overlaps, signed_areas
@@ -145,11 +145,22 @@ def transfer(
     ValueError for an unknown `where` or `method`.
     """
     made = prepared(before, after, where, method)
-    out, overshoots = made(torch.as_tensor(values))
+    out, overshoots = made(_checked_values(values, made.rows.shape[1]))
     if not report:
         return out
     info = made.info
     return out, TransferInfo(info.moved, info.tangled, info.outside, overshoots, info.uncovered, info.missed)
+
+
+def _checked_values(values: Any, rows: int) -> Tensor:
+    """`values` as a tensor with as many `rows`; InvalidMeshError for anything else."""
+    try:
+        tensor = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InvalidMeshError(f"values are no rectangular array of numbers: {error}") from None
+    if tensor.ndim == 0 or len(tensor) != rows:
+        raise InvalidMeshError(f"values must have {rows} rows as the mesh before, but are {tuple(tensor.shape)}")
+    return tensor
 
 
 @without_autograd
@@ -179,7 +190,10 @@ def prepared(before: MeshBatch, after: MeshBatch, where: Where = "points", metho
         bad[batch.triangles.reshape(-1)] = True  # vertices of no triangle may be anything
         bad &= ~fit_positions(batch.points)
         if bool(bad.any()):
-            raise InvalidMeshError(f"{name}: points row {int(bad.nonzero()[0])} is not finite, or beyond 1e150")
+            row = bad.nonzero()[0]
+            b = int(owner_of(row, batch.point_offsets))
+            at = batch.points[row[0]].tolist()
+            raise InvalidMeshError(f"{name}: mesh {b}: points row {int(row)} is {at}: not finite, or beyond 1e150")
     sides = both_sides(before, after)
     if where == "triangles":
         return _nearest_in_triangles(*sides) if method == "nearest" else _triangles(*sides, _unmoved(before, after))

@@ -7,13 +7,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread
 from ..mesh.triangle import corners
 from ..mesh.units import centre_and_unit
+from .femwarp import checked_new_points
 
 # A body turns if shift and turn leave at most this part of the motion that a shift alone leaves (root mean square).
 _RIGID = 0.25
@@ -29,11 +29,9 @@ def largest_step(batch: MeshBatch, new_points: Tensor) -> Tensor:
 
     new_points  (V, 2) in the unit of the batch; all rows are read
 
-    Raises InvalidMeshError if new_points has another shape.
+    Raises InvalidMeshError if new_points has another shape or type.
     """
-    target = torch.as_tensor(new_points).to(batch.points)
-    if target.shape != batch.points.shape:
-        raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
+    target = checked_new_points(batch, new_points)
     return segment_min(first_flat(batch, target), batch.triangle_offsets)
 
 

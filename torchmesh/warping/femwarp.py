@@ -10,8 +10,9 @@ from ..mesh.batch import MeshBatch, put
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
+from ..mesh.ragged import segment_any
 from ..mesh.triangle import corners
-from ..mesh.unfit import unfit_meshes
+from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
 from ..optimising.laplacian import cotangent_weights, harmonic_extension
 
@@ -28,7 +29,7 @@ def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None)
     stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
     Vavasis, Analysis of and workarounds for element reversal, BIT 50, 2010).  A large motion may
     invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
-    undeformed mesh is inverted, or new positions are not finite or of another shape.
+    undeformed mesh is inverted, or when positions are not finite or of another shape or type; it names mesh and row.
     """
     fixed = with_held(batch, hold).fixed
     target = boundary_goal(replace(batch, fixed=fixed), new_points, "femwarp")
@@ -49,19 +50,42 @@ def checked_hold(batch: MeshBatch, hold: Tensor) -> Tensor:
     return hold
 
 
-def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
-    """(V, 2) the fixed vertices at `new_points`, the others where they are; InvalidMeshError as `what` says."""
-    target = torch.as_tensor(new_points).to(batch.points)
+def checked_new_points(batch: MeshBatch, new_points: Tensor) -> Tensor:
+    """`new_points` as (V, 2) in the dtype and on the device of the batch; InvalidMeshError for anything else."""
+    try:
+        target = torch.as_tensor(new_points)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InvalidMeshError(f"new_points is not a rectangular array of numbers: {error}") from None
     if target.shape != batch.points.shape:
         raise InvalidMeshError(f"new_points must be {tuple(batch.points.shape)}, not {tuple(target.shape)}")
-    bad = batch.fixed & ~fit_positions(target)
-    if bool(bad.any()):
-        row = int(bad.nonzero()[0, 0])
-        raise InvalidMeshError(
-            f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite position, below 1e150"
-        )
+    if target.dtype == torch.bool or target.is_complex():
+        raise InvalidMeshError(f"new_points must be real numbers, not {target.dtype}")
+    return target.to(batch.points)
+
+
+def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
+    """(V, 2) the fixed vertices at `new_points`, the others where they are; InvalidMeshError as `what` says."""
+    target = checked_new_points(batch, new_points)
+    unfit = unfit_goals(batch, target)
+    if bool(unfit.any()):
+        b = int(unfit.nonzero()[0])
+        raise InvalidMeshError(f"mesh {b}: {what_is_unfit_goal(batch, target, b)}")
     refuse_inverted(batch, f"; {what} starts from a valid mesh, so improve it first")
     return torch.where(batch.fixed[:, None], target, batch.points)
+
+
+def unfit_goals(batch: MeshBatch, target: Tensor) -> Tensor:
+    """(B,) bool: a position of the mesh, or the goal of one of its fixed vertices, is not finite or beyond 1e150."""
+    return unfit_meshes(batch) | segment_any(batch.fixed & ~fit_positions(target), batch.point_offsets)
+
+
+def what_is_unfit_goal(batch: MeshBatch, target: Tensor, b: int) -> str:
+    """What is to be said of the mesh `b`, which is one of `unfit_goals`; rows are those of the batch."""
+    start, end = batch.point_offsets[b : b + 2].tolist()
+    if bool(unfit_meshes(batch)[b]):
+        return what_is_unfit(batch, b)[0]
+    row = start + int((batch.fixed & ~fit_positions(target))[start:end].nonzero()[0, 0])
+    return f"new_points row {row} is {target[row].tolist()}: a fixed vertex needs a finite position, below 1e150"
 
 
 @without_autograd
