@@ -5,7 +5,8 @@ TORCH ?= torch==2.13.0
 BIN := .venv/bin
 # One worker a processor, each with one torch thread; a worker that has nothing left takes tests over from another.
 # A worker's modules of tests follow one another, so that most fixtures of a module are made once.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
+# The tests start some hundred processes: bytecode is kept, so that not each of them compiles the package anew.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
 .PHONY: demo test test-fast bench docs clean
 
@@ -44,8 +45,10 @@ docs: .venv/docs
 	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	touch $@
 
+# mypy reads the types of torch and of the other libraries once, which takes a minute and a half.
 .venv/test: .venv/torch pyproject.toml
 	$(BIN)/python -m pip install --quiet -e '.[test]'
+	-$(BIN)/mypy > /dev/null
 	touch $@
 
 clean:

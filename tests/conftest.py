@@ -56,7 +56,11 @@ def generator() -> torch.Generator:
 
 @pytest.fixture
 def inline(monkeypatch) -> None:
-    """Runs over files work in this process: the start of another is saved where only the outcome matters."""
+    """Runs over files work in this process, on one file after the other unless the run names a number of workers.
+
+    The start of other processes is saved where only the outcome matters.
+    """
     from file_runs import Inline
 
     monkeypatch.setattr("torchmesh.batches.runs.LocalWorker", Inline)
+    monkeypatch.setattr("torchmesh.batches.runs.processors", lambda: 1)

@@ -1,6 +1,7 @@
 """Folders import from those below them only, in no circle; importing the package loads nothing heavy."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -46,7 +47,8 @@ def name_of(path: Path) -> str:
 MODULES = sorted({name_of(path) for path in PACKAGE.rglob("*.py")} - {"__init__"})
 
 
-def imports_of(module: str) -> set[str]:
+@functools.cache
+def imports_of(module: str) -> frozenset[str]:
     """The modules of the package that `module` imports, at its top or inside a function; "" is the package itself."""
     path = PACKAGE / (module.replace(".", "/") + ".py")
     path = path if path.exists() else PACKAGE / module.replace(".", "/") / "__init__.py"
@@ -60,7 +62,8 @@ def imports_of(module: str) -> set[str]:
             base = [*base, *(node.module or "").split(".")] if node.module else base
             names = [".".join([*base, alias.name]) for alias in node.names]
             found |= {n if n.removeprefix("torchmesh.") in MODULES else ".".join(base) for n in names}
-    return {n.removeprefix("torchmesh").removeprefix(".") for n in found if n.split(".")[0] == "torchmesh"}
+    inside = {n for n in found if n.split(".")[0] == "torchmesh"}
+    return frozenset(n.removeprefix("torchmesh").removeprefix(".") for n in inside)
 
 
 def folder(module: str) -> str:
@@ -151,16 +154,30 @@ def test_a_name_that_is_none_of_the_package_is_an_attribute_error():
     assert not hasattr(torchmesh, "_HIDDEN")
 
 
-@pytest.mark.parametrize("name", sorted(torchmesh._MODULES))
-def test_a_public_module_is_one_module_wherever_it_lies(name):
-    code = (
-        f"import torchmesh.{name}, torchmesh as tm; from torchmesh import {name}; "
-        f"import torchmesh.{torchmesh._MODULES[name]} as home; "
-        f"assert torchmesh.{name} is {name} is home is tm.{name}; "
-        "assert home.__spec__.name == home.__name__"
+# Each name is imported first of all, into an interpreter that knows torch but nothing of the package.
+ONE_MODULE = """
+import sys
+finders = list(sys.meta_path)
+for name, home in {names!r}.items():
+    sys.meta_path[:] = finders
+    for loaded in [n for n in sys.modules if n.split(".")[0] == "torchmesh"]:
+        del sys.modules[loaded]
+    exec(
+        f"import torchmesh.{{name}}, torchmesh as tm; from torchmesh import {{name}}; "
+        f"import torchmesh.{{home}} as home; "
+        f"assert torchmesh.{{name}} is {{name}} is home is tm.{{name}}, name; "
+        "assert home.__spec__.name == home.__name__",
+        {{"name": name}},
     )
+    print(name)
+"""
+
+
+def test_a_public_module_is_one_module_wherever_it_lies():
+    code = ONE_MODULE.format(names=torchmesh._MODULES)
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == list(torchmesh._MODULES)
 
 
 @pytest.mark.parametrize("name", sorted(torchmesh._MODULES))

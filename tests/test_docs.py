@@ -2,13 +2,14 @@
 
 import importlib.util
 import re
-import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import documents
 import pytest
+from documents import blocks
 
 import torchmesh
 from experiments.paper import draw_loop
@@ -16,45 +17,17 @@ from experiments.paper import draw_loop
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-
-
-def blocks(page: Path) -> list[tuple[str, str]]:
-    return BLOCK.findall(page.read_text(encoding="utf-8"))
-
-
-def script(page: Path) -> str:
-    """One Python program that does what the page's blocks do, in order, with one set of names."""
-    lines = []
-    for language, code in blocks(page):
-        if language == "python":
-            lines.append(code)
-        elif language == "sh":
-            for line in code.strip().splitlines():
-                command, _, comment = line.partition("#")
-                status = int(match[1]) if (match := re.search(r"exit status (\d)", comment)) else 0
-                program, *arguments = shlex.split(command)
-                assert program == "torchmesh", f"{page}: {line}"
-                lines.append(f"__run({arguments!r}, {status})")
-    start = (
-        "from torchmesh.commands import main as __cli\n"
-        "def __run(arguments, expected):\n"
-        "    status = __cli.main(arguments)\n"
-        "    assert status == expected, (arguments, status)\n"
-    )
-    return start + "\n".join(lines)
 
 
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if any(b[0] in ("python", "sh") for b in blocks(p))], ids=lambda p: p.stem
 )
-def test_the_blocks_of_a_page_run(page, tmp_path):
+def test_the_blocks_of_a_page_run(page, tmp_path, monkeypatch, inline):
     if "to_pyvista" in page.read_text():
         pytest.importorskip("pyvista")
     shutil.copy(ROOT / "torchmesh" / "data" / "bar.vtk", tmp_path / "undeformed.vtk")
-    (tmp_path / "page.py").write_text(script(page))
-    done = subprocess.run([sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr[-3000:]
+    monkeypatch.chdir(tmp_path)
+    documents.run(blocks(page))
 
 
 def test_the_guides_are_there_and_every_block_has_a_language_that_runs_or_is_text():

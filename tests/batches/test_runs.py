@@ -26,6 +26,7 @@ from torchmesh import ImproveOptions, improve, improve_files, read, write
 from torchmesh.batches import manifest
 from torchmesh.batches import runs as files
 from torchmesh.batches.runs import Run, settings
+from torchmesh.commands.main import main
 from torchmesh.errors import MeshIOError, MeshWarning, MissingDependencyError
 
 
@@ -228,9 +229,12 @@ def test_a_mesh_that_stays_tangled_is_not_done_again(inputs, tmp_path, inline):
 
 @POSIX
 def test_a_worker_that_is_killed_loses_nothing(inputs, tmp_path, traps):
-    """Once by chance: everything is valid.  Always by the same file: that file is the only error."""
-    for name in ("once", "poison"):
-        shutil.copy(inputs / "a" / "x.vtu", inputs / "a" / f"{name}.vtu")
+    """Once by chance: everything is valid.  Always by the same file: that file is the only error.
+
+    The file that kills is the smallest and so the last: one worker the fewer is started.
+    """
+    shutil.copy(inputs / "a" / "x.vtu", inputs / "a" / "once.vtu")
+    (inputs / "a" / "poison.vtu").write_text("never read")
     results = {r.name: r for r in improve_files(inputs / "a", tmp_path / "out", workers=1, budget=1)}
     assert sorted(results) == ["once.vtu", "poison.vtu", "x.vtu", "y.msh"]
     assert (traps / "sprung-once.vtu").exists()
@@ -269,7 +273,7 @@ def alive(pid: int) -> bool:
 
 @POSIX
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_a_run_that_is_killed_goes_on_where_it_stopped(inputs, tmp_path, traps, how):
+def test_a_run_that_is_killed_goes_on_where_it_stopped(inputs, tmp_path, traps, how, inline):
     shutil.copy(inputs / "a" / "x.vtu", inputs / "b" / "slow.vtu")
     out = tmp_path / "out"
     count, enough = (2, 3) if how == signal.SIGKILL else (1, 0)
@@ -294,9 +298,7 @@ def test_a_run_that_is_killed_goes_on_where_it_stopped(inputs, tmp_path, traps, 
         return
     before, told = contents(out), {line["name"] for line in lines(out)}
     (traps / "fast").touch()
-    with batch(inputs, out, "--workers", "1", "--budget", "30000") as process:
-        process.communicate(timeout=120)
-    assert process.returncode == 0
+    assert main(["batch", str(inputs), "--out", str(out), "--workers", "1", "--budget", "30000"]) == 0
     after = contents(out)
     assert set(after) == {*NAMES, "b/slow.vtu"} == {line["name"] for line in lines(out)}
     assert {name: after[name] for name in told} == {name: before[name] for name in told}

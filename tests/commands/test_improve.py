@@ -54,8 +54,8 @@ def test_improve_writes_a_valid_mesh_a_report_and_a_picture(folder):
         assert set(step) >= {"stage", "mean", "max", "inverted", "flips", "iterations", "seconds"}
 
 
-def test_improve_says_so_when_a_mesh_cannot_be_made_valid(folder):
-    done = process("improve", "crossed.vtu", "out.vtu", "--report", "r.json", folder=folder)
+def test_improve_says_so_when_a_mesh_cannot_be_made_valid(call, folder):
+    done = call("improve", "crossed.vtu", "out.vtu", "--report", "r.json")
     left = inverted(folder / "out.vtu")
     assert done.status == 1
     assert left > 0
@@ -157,7 +157,7 @@ needs_terminal = pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseud
 
 @needs_terminal
 def test_live_progress_on_a_terminal(folder):
-    write(folder / "large.vtu", meshes.disturbed(meshes.delaunay(3000), 0.05, seed=1))
+    write(folder / "large.vtu", meshes.disturbed(meshes.delaunay(1000), 0.05, seed=1))
     status, shown, out = terminal(["improve", "large.vtu", "out.vtu"], folder)
     assert status == 0
     assert b"inverted, iteration" in shown
@@ -169,7 +169,7 @@ def test_live_progress_on_a_terminal(folder):
 @needs_terminal
 def test_an_interrupt_leaves_nothing_behind(folder):
     """The work is left in its midst: no table is printed, and no file is new or changed."""
-    write(folder / "large.vtu", meshes.disturbed(meshes.delaunay(20_000), 0.05, seed=1))
+    write(folder / "large.vtu", meshes.disturbed(meshes.delaunay(8000), 0.05, seed=1))
     (folder / "out.vtu").write_text("what was there before")
     before = names(folder)
     arguments = ["improve", "large.vtu", "out.vtu", "--report", "r.json", "--plot", "p.png"]
@@ -203,7 +203,7 @@ def test_boundaries_slide_on_request(call, folder):
     assert quality(after).mean.item() < quality(kept).mean.item()
 
 
-def test_strict_writes_nothing_and_names_what_would_be_lost(call, folder):
+def test_strict_writes_nothing_and_names_what_would_be_lost(call, folder, inline):
     points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [1.4, 0.5]], float)
     faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
     sides = np.array([[0, 1], [1, 2]])
@@ -230,40 +230,40 @@ def test_strict_writes_nothing_and_names_what_would_be_lost(call, folder):
     assert not (folder / "done" / "given.off").exists()
 
 
-def test_interfaces_may_move_and_the_areas_are_told(tmp_path):
+def test_interfaces_may_move_and_the_areas_are_told(call, folder):
     mesh = meshes.l_shape(4)
     inner = mesh.constrained_edges[0, 1], mesh.constrained_edges[1, 1]
     points = np.pad(mesh.points.numpy(), ((0, 0), (0, 1)))
     points[list(inner)] = points[list(inner)[::-1]]
     tags = (meshes.l_shape(4).points[mesh.triangles, 0].mean(1) > 1).int().numpy() + 1
     given = meshio.Mesh(points, [("triangle", mesh.triangles.numpy())], cell_data={"region": [tags]})
-    given.write(tmp_path / "in.vtu")
-    done = process("improve", "in.vtu", "out.vtu", folder=tmp_path)
+    given.write(folder / "in.vtu")
+    done = call("improve", "in.vtu", "out.vtu")
     assert done.status == 1
     assert "--interfaces free" in done.err
-    done = process("improve", "in.vtu", "out.vtu", "--interfaces", "free", "--report", "r.json", folder=tmp_path)
+    done = call("improve", "in.vtu", "out.vtu", "--interfaces", "free", "--report", "r.json")
     assert (done.status, done.err) == (0, "")
     assert "interfaces: 2 regions, areas changed by" in done.out
-    report = json.loads((tmp_path / "r.json").read_text())
+    report = json.loads((folder / "r.json").read_text())
     assert report["interfaces"] == "free"
     assert sum(region["after"] for region in report["regions"]) == pytest.approx(3)
-    after = meshio.read(tmp_path / "out.vtu")
-    assert inverted(tmp_path / "out.vtu") == 0
+    after = meshio.read(folder / "out.vtu")
+    assert inverted(folder / "out.vtu") == 0
     assert sorted(after.cell_data["region"][0]) == sorted(tags)
 
 
-def test_scope_damage_leaves_the_rest_to_the_bit(tmp_path):
+def test_scope_damage_leaves_the_rest_to_the_bit(call, folder):
     base = meshes.disturbed(meshes.equilateral(30, 25), 0.08, 0)
     thrown = meshes.disturbed(base, 1.0, 1).points
     near = (base.points - 10.0).norm(dim=1) < 1.8
     points = np.pad(np.where(near.numpy()[:, None], thrown, base.points) * [4.0, 1.0], ((0, 0), (0, 1)))
-    meshio.Mesh(points, [("triangle", base.triangles.numpy())]).write(tmp_path / "in.vtu")
-    assert inverted(tmp_path / "in.vtu") > 3
-    done = process("improve", "in.vtu", "out.vtu", "--scope", "damage", "--report", "r.json", folder=tmp_path)
+    meshio.Mesh(points, [("triangle", base.triangles.numpy())]).write(folder / "in.vtu")
+    assert inverted(folder / "in.vtu") > 3
+    done = call("improve", "in.vtu", "out.vtu", "--scope", "damage", "--report", "r.json")
     assert (done.status, done.err) == (0, "")
-    moved = (meshio.read(tmp_path / "out.vtu").points != points).any(1)
+    moved = (meshio.read(folder / "out.vtu").points != points).any(1)
     assert 0 < moved.sum() <= len(points) / 8
-    assert json.loads((tmp_path / "r.json").read_text())["scope"] == "damage"
+    assert json.loads((folder / "r.json").read_text())["scope"] == "damage"
 
 
 def test_a_folded_quad_is_told_and_nothing_is_certified(call, folder):

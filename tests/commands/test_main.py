@@ -147,9 +147,11 @@ def test_every_command_has_examples_in_its_help(call):
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_the_examples_of_the_help_run(call, example):
+def test_the_examples_of_the_help_run(call, example, request):
     program, *arguments = shlex.split(example)
     assert program == "torchmesh"
+    if "--workers" not in arguments:  # where a number of them is asked for, worker processes run
+        request.getfixturevalue("inline")
     if "--count" in arguments:  # a few are as good a test
         arguments[arguments.index("--count") + 1] = "3"
     done = call(*arguments)

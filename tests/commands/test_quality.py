@@ -6,13 +6,13 @@ import meshes
 import meshio
 import numpy as np
 import pytest
-from command_line import inverted, process
+from command_line import inverted
 
 from torchmesh import metrics, quality, read, write
 
 
-def test_quality_tables(folder):
-    done = process("quality", "tangled.vtu", "better.vtu", folder=folder)
+def test_quality_tables(call, folder):
+    done = call("quality", "tangled.vtu", "better.vtu")
     assert (done.status, done.err) == (1, "")
     lines = [line.split() for line in done.out.splitlines()]
     mesh = read(folder / "tangled.vtu")

@@ -5,7 +5,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from command_line import inverted, is_one_clear_line, plate, process
+from command_line import inverted, is_one_clear_line, plate
 
 from torchmesh import read
 
@@ -29,8 +29,8 @@ def parts() -> tuple[np.ndarray, np.ndarray]:
     return np.abs(points - 0.5).max(1) < 0.21, np.abs(points - 0.5).max(1) > 0.49
 
 
-def test_warp_moves_a_hole_and_carries_the_interior_along(folder):
-    done = process("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0.05", folder=folder)
+def test_warp_moves_a_hole_and_carries_the_interior_along(call, folder):
+    done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0.05")
     assert (done.status, done.err) == (0, "")
     by, (hole, outer) = moved(folder), parts()
     assert by[hole] == pytest.approx(np.tile([0.1, 0.05], (16, 1)))

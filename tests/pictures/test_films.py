@@ -1,6 +1,5 @@
 """Films: every stage is in them, motions glide, flips are cuts."""
 
-import subprocess
 import sys
 
 import meshes
@@ -93,14 +92,3 @@ def test_bad_films(tmp_path, monkeypatch):
     with pytest.raises(MissingDependencyError, match=r"pip install 'torchmesh-untangle\[video\]'"):
         animate(tmp_path / "film.mp4", [("mesh", mesh)])
     assert not list(tmp_path.iterdir())
-
-
-def test_films_leave_pyplot_alone(tmp_path):
-    code = (
-        "import sys, torchmesh as tm\n"
-        "mesh = tm.MeshBatch.from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])\n"
-        f"tm.animate({str(tmp_path / 'film.gif')!r}, [('mesh', mesh)])\n"
-        "assert 'matplotlib.pyplot' not in sys.modules"
-    )
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")

@@ -89,12 +89,15 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_pictures_leave_pyplot_alone(tmp_path):
+def test_pictures_and_films_leave_pyplot_alone(tmp_path):
     code = (
-        "import sys, torch; from torchmesh import MeshBatch; from torchmesh.pictures.pictures import before_after\n"
+        "import sys, torch; from torchmesh import MeshBatch, animate\n"
+        "from torchmesh.pictures.pictures import before_after\n"
         "assert 'matplotlib' not in sys.modules\n"
         "mesh = MeshBatch.from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])\n"
         f"before_after({str(tmp_path / 'p.png')!r}, mesh, mesh)\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+        f"animate({str(tmp_path / 'film.gif')!r}, [('mesh', mesh)])\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=60)
