@@ -1,4 +1,5 @@
 import dataclasses
+import functools
 import math
 
 import meshes
@@ -83,16 +84,22 @@ def crossings(mesh: MeshBatch) -> int:
     return len(crossing_pairs(mesh.points.numpy(), network(mesh).numpy()))
 
 
+@functools.cache
+def slid_along(name: str) -> tuple[MeshBatch, MeshBatch, tm.MoveInfo]:
+    """A mesh of UNEVEN before and after sliding: made once for all tests, which change nothing of it."""
+    mesh = UNEVEN[name]()
+    slid, info = smooth(mesh, SLIDE)
+    assert torch.equal(mesh.points, UNEVEN[name]().points), "what was given has been changed"
+    return mesh, slid, info
+
+
 @pytest.mark.parametrize("name", list(UNEVEN))
 def test_sliding_improves_what_a_fixed_boundary_holds_back(name):
-    mesh = UNEVEN[name]()
-    before = mesh.points.clone()
+    mesh, slid, info = slid_along(name)
     held, _ = smooth(mesh)
-    slid, info = smooth(mesh, SLIDE)
     assert inverted(slid) == 0
     assert info.status.item() in (Status.CONVERGED, Status.SETTLED)
     assert quality(slid).mean.item() < quality(held).mean.item()
-    assert torch.equal(mesh.points, before)
     assert crossings(slid) == 0
     # Exact up to the rounding of the vertices' positions.
     assert float(total_area(slid)) == pytest.approx(float(total_area(mesh)), rel=1e-14)
@@ -143,9 +150,8 @@ def test_on_a_circle_vertices_stay_close_to_it_and_spread():
 
 @pytest.mark.parametrize("name", list(UNEVEN))
 def test_order_along_the_curves_is_kept_and_corners_are_where_they_were(name):
-    mesh = UNEVEN[name]()
+    mesh, slid, info = slid_along(name)
     curves = curves_of(mesh)
-    slid, info = smooth(mesh, SLIDE)
     step = info.curves.parameter[curves.after] - info.curves.parameter
     assert bool((step > 0)[torch.arange(len(step)) != curves.last].all())
     may = curves.may_slide(mesh.point_offsets)
@@ -254,9 +260,8 @@ def test_chords_of_narrow_slits_do_not_cross(monkeypatch):
 @pytest.mark.parametrize("exponent", [-300, -7, 1, 300])
 @pytest.mark.parametrize("name", list(UNEVEN))
 def test_scaling_by_a_power_of_two_scales_the_result_to_the_bit(name, exponent):
-    mesh = UNEVEN[name]()
+    mesh, plain, info = slid_along(name)
     scaled, its = smooth(mesh.with_points(mesh.points * 2.0**exponent), SLIDE)
-    plain, info = smooth(mesh, SLIDE)
     assert torch.equal(scaled.points, plain.points * 2.0**exponent)
     assert torch.equal(its.iterations, info.iterations)
 
@@ -279,10 +284,10 @@ def test_single_precision_in_is_valid_single_precision_out(name):
 
 
 def test_joined_equals_alone_to_the_bit():
-    parts = [make() for make in (*UNEVEN.values(), *meshes.TANGLED.values())] + [meshes.grid(1, 1), slit()]
-    batch, info = smooth(join(parts), SLIDE)
-    for b, (mesh, together) in enumerate(zip(parts, batch.split(), strict=True)):
-        alone, its = smooth(mesh, SLIDE)
+    others = [*(make() for make in meshes.TANGLED.values()), meshes.grid(1, 1), slit()]
+    parts = [slid_along(name) for name in UNEVEN] + [(mesh, *smooth(mesh, SLIDE)) for mesh in others]
+    batch, info = smooth(join([mesh for mesh, _, _ in parts]), SLIDE)
+    for b, ((_, alone, its), together) in enumerate(zip(parts, batch.split(), strict=True)):
         assert torch.equal(alone.points, together.points)
         for name in ("energy", "gradient", "iterations", "evaluations", "status"):
             assert torch.equal(getattr(info, name)[b : b + 1], getattr(its, name)), name
@@ -298,6 +303,13 @@ TANGLED = {
 }
 
 
+@functools.cache
+def improved(name: str, **options: str) -> tuple[MeshBatch, MeshBatch, tm.Report]:
+    """A mesh of TANGLED before and after: made once for all tests, which change nothing of it."""
+    mesh = TANGLED[name]()
+    return mesh, *improve(mesh, ImproveOptions(**options))
+
+
 def refined(report: tm.Report) -> float:
     """The mean after flips and smoothing; what relocation adds to that differs from mesh to mesh."""
     stages = [step.stage for step in report.steps[0]]
@@ -307,10 +319,9 @@ def refined(report: tm.Report) -> float:
 @pytest.mark.parametrize("name", list(TANGLED))
 @pytest.mark.parametrize("topology", ["flip", "keep"])
 def test_improve_slides_flips_and_certifies(name, topology):
-    mesh = TANGLED[name]()
+    mesh, better, report = improved(name, boundary="slide", topology=topology)
+    _, held, of_held = improved(name, topology=topology)
     assert inverted(mesh) > 0
-    better, report = improve(mesh, ImproveOptions(boundary="slide", topology=topology))
-    held, of_held = improve(mesh, ImproveOptions(topology=topology))
     assert report.certified.tolist() == [True]
     assert inverted(better) == 0
     assert diagnose(better) == []
@@ -326,9 +337,8 @@ def test_improve_slides_flips_and_certifies(name, topology):
 
 @pytest.mark.parametrize("name", list(TANGLED))
 def test_vertices_slide_on_after_remeshing(name):
-    mesh = TANGLED[name]()
-    better, report = improve(mesh, ImproveOptions(boundary="slide", topology="full"))
-    _, of_held = improve(mesh, ImproveOptions(topology="full"))
+    mesh, better, report = improved(name, boundary="slide", topology="full")
+    of_held = improved(name, topology="full")[2]
     assert report.certified.tolist() == [True]
     assert inverted(better) == 0
     assert float(report.quality.mean) < 1.02 * float(of_held.quality.mean)
@@ -359,10 +369,11 @@ def test_curves_follow_their_vertices_to_other_rows():
 
 
 def test_full_with_sliding_in_a_batch_is_full_alone():
-    parts = [rectangle(), TANGLED["jittered"](), meshes.l_shape(3)]
     options = ImproveOptions(boundary="slide", topology="full")
-    for mesh, together in zip(parts, improve(join(parts), options)[0].split(), strict=True):
-        alone, _ = improve(mesh, options)
+    parts = [improved(name, boundary="slide", topology="full") for name in ("jittered", "interface")]
+    parts.append((rectangle(), *improve(rectangle(), options)))
+    batch, _ = improve(join([mesh for mesh, _, _ in parts]), options)
+    for (_, alone, _), together in zip(parts, batch.split(), strict=True):
         assert torch.equal(alone.points, together.points)
         assert torch.equal(alone.triangles, together.triangles)
 
@@ -381,10 +392,11 @@ def test_improve_holds_what_it_is_told():
 
 
 def test_improving_a_batch_with_sliding_boundaries_is_improving_each_alone():
-    parts = [make() for make in (*TANGLED.values(), *UNEVEN.values())]
     options = ImproveOptions(boundary="slide")
-    for mesh, together in zip(parts, improve(join(parts), options)[0].split(), strict=True):
-        alone, _ = improve(mesh, options)
+    parts = [improved(name, boundary="slide", topology="flip") for name in TANGLED]
+    parts += [(make(), *improve(make(), options)) for make in UNEVEN.values()]
+    batch, _ = improve(join([mesh for mesh, _, _ in parts]), options)
+    for (_, alone, _), together in zip(parts, batch.split(), strict=True):
         assert torch.equal(alone.points, together.points)
         assert torch.equal(alone.triangles, together.triangles)
 
