@@ -5,6 +5,7 @@ import math
 import meshes
 import numpy as np
 import pytest
+import together
 import torch
 from exact import inverted, total_area
 
@@ -287,8 +288,8 @@ def test_joined_equals_alone_to_the_bit():
     others = [*(make() for make in meshes.TANGLED.values()), meshes.grid(1, 1), slit()]
     parts = [slid_along(name) for name in UNEVEN] + [(mesh, *smooth(mesh, SLIDE)) for mesh in others]
     batch, info = smooth(join([mesh for mesh, _, _ in parts]), SLIDE)
-    for b, ((_, alone, its), together) in enumerate(zip(parts, batch.split(), strict=True)):
-        assert torch.equal(alone.points, together.points)
+    for b, ((_, alone, its), joined) in enumerate(zip(parts, batch.split(), strict=True)):
+        assert torch.equal(alone.points, joined.points)
         for name in ("energy", "gradient", "iterations", "evaluations", "status"):
             assert torch.equal(getattr(info, name)[b : b + 1], getattr(its, name)), name
 
@@ -304,10 +305,11 @@ TANGLED = {
 
 
 @functools.cache
-def improved(name: str, **options: str) -> tuple[MeshBatch, MeshBatch, tm.Report]:
-    """A mesh of TANGLED before and after: made once for all tests, which change nothing of it."""
-    mesh = TANGLED[name]()
-    return mesh, *improve(mesh, ImproveOptions(**options))
+def improved_together(boundary: str, topology: str) -> dict[str, tuple[MeshBatch, MeshBatch, tm.Report]]:
+    """The meshes of TANGLED before and after: made once for all tests, which change nothing of them."""
+    before = [make() for make in TANGLED.values()]
+    results = together.improved(before, ImproveOptions(boundary=boundary, topology=topology))
+    return {name: (mesh, *result) for name, mesh, result in zip(TANGLED, before, results, strict=True)}
 
 
 def refined(report: tm.Report) -> float:
@@ -319,8 +321,8 @@ def refined(report: tm.Report) -> float:
 @pytest.mark.parametrize("name", list(TANGLED))
 @pytest.mark.parametrize("topology", ["flip", "keep"])
 def test_improve_slides_flips_and_certifies(name, topology):
-    mesh, better, report = improved(name, boundary="slide", topology=topology)
-    _, held, of_held = improved(name, topology=topology)
+    mesh, better, report = improved_together("slide", topology)[name]
+    _, held, of_held = improved_together("fixed", topology)[name]
     assert inverted(mesh) > 0
     assert report.certified.tolist() == [True]
     assert inverted(better) == 0
@@ -337,8 +339,8 @@ def test_improve_slides_flips_and_certifies(name, topology):
 
 @pytest.mark.parametrize("name", list(TANGLED))
 def test_vertices_slide_on_after_remeshing(name):
-    mesh, better, report = improved(name, boundary="slide", topology="full")
-    of_held = improved(name, topology="full")[2]
+    mesh, better, report = improved_together("slide", "full")[name]
+    of_held = improved_together("fixed", "full")[name][2]
     assert report.certified.tolist() == [True]
     assert inverted(better) == 0
     assert float(report.quality.mean) < 1.02 * float(of_held.quality.mean)
@@ -370,12 +372,12 @@ def test_curves_follow_their_vertices_to_other_rows():
 
 def test_full_with_sliding_in_a_batch_is_full_alone():
     options = ImproveOptions(boundary="slide", topology="full")
-    parts = [improved(name, boundary="slide", topology="full") for name in ("jittered", "interface")]
-    parts.append((rectangle(), *improve(rectangle(), options)))
-    batch, _ = improve(join([mesh for mesh, _, _ in parts]), options)
-    for (_, alone, _), together in zip(parts, batch.split(), strict=True):
-        assert torch.equal(alone.points, together.points)
-        assert torch.equal(alone.triangles, together.triangles)
+    parts = improved_together("slide", "full")
+    for name in ("jittered", "rectangle"):
+        mesh, joined, _ = parts[name]
+        alone, _ = improve(mesh, options)
+        assert torch.equal(alone.points, joined.points)
+        assert torch.equal(alone.triangles, joined.triangles)
 
 
 def test_improve_holds_what_it_is_told():
@@ -393,12 +395,11 @@ def test_improve_holds_what_it_is_told():
 
 def test_improving_a_batch_with_sliding_boundaries_is_improving_each_alone():
     options = ImproveOptions(boundary="slide")
-    parts = [improved(name, boundary="slide", topology="flip") for name in TANGLED]
-    parts += [(make(), *improve(make(), options)) for make in UNEVEN.values()]
-    batch, _ = improve(join([mesh for mesh, _, _ in parts]), options)
-    for (_, alone, _), together in zip(parts, batch.split(), strict=True):
-        assert torch.equal(alone.points, together.points)
-        assert torch.equal(alone.triangles, together.triangles)
+    parts = [make() for make in (*TANGLED.values(), *UNEVEN.values())]
+    for mesh, joined in zip(parts, improve(join(parts), options)[0].split(), strict=True):
+        alone, _ = improve(mesh, options)
+        assert torch.equal(alone.points, joined.points)
+        assert torch.equal(alone.triangles, joined.triangles)
 
 
 def test_without_the_option_nothing_slides():
