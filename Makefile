@@ -37,19 +37,22 @@ docs: .venv/docs
 	$(BIN)/python -m pip install --quiet "$(TORCH)"
 	touch $@
 
-.venv/demo: .venv/torch pyproject.toml
+# The compiled loops are part of an installation: they are built again when their source changes.
+BUILD := pyproject.toml setup.py $(wildcard torchmesh/kernels/source/*)
+
+.venv/demo: .venv/torch $(BUILD)
 	$(BIN)/python -m pip install --quiet -e '.[plot]'
 	touch $@
 
-.venv/docs: .venv/torch pyproject.toml
+.venv/docs: .venv/torch $(BUILD)
 	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	touch $@
 
 # mypy reads the types of torch and of the other libraries once, which takes a minute and a half.
-.venv/test: .venv/torch pyproject.toml
+.venv/test: .venv/torch $(BUILD)
 	$(BIN)/python -m pip install --quiet -e '.[test]'
 	-$(BIN)/mypy > /dev/null
 	touch $@
 
 clean:
-	rm -rf .venv out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf .venv out site build torchmesh/kernels/_loops.* *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

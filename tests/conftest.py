@@ -1,11 +1,15 @@
 """Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock; which modules are slow."""
 
+from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, settings
+
+from torchmesh.kernels import library
 
 torch.set_num_threads(1)
 
@@ -29,6 +33,33 @@ SLOW = (
     "test_readme.py",
 )
 FOLDER = Path(__file__).parent
+
+
+# Modules and folders whose tests run twice: by the compiled loops, and by torch alone.
+BOTH_WAYS = (
+    "flipping",
+    "mesh/test_measure.py",
+    "mesh/test_predicates.py",
+    "optimising",
+    "smoothing/test_smoothing.py",
+    "untangling/test_untangling.py",
+)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    path = Path(metafunc.module.__file__)
+    if any(path == FOLDER / place or FOLDER / place in path.parents for place in BOTH_WAYS):
+        metafunc.parametrize("loops", ["compiled", "torch"], indirect=True)
+
+
+@pytest.fixture(autouse=True)
+def loops(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The inner loops by which a test of `BOTH_WAYS` runs; the others run by those that are there."""
+    choice = getattr(request, "param", None)
+    if choice == "compiled" and not library.built():
+        pytest.skip("the compiled loops were not built")
+    with nullcontext() if choice is None else library.using(choice):
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

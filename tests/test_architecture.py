@@ -16,13 +16,14 @@ PACKAGE = Path(torchmesh.__file__).parent
 ALLOWED = {
     "errors": "",
     "status": "",
-    "mesh": "errors status",
-    "optimising": "mesh errors status",
+    "kernels": "errors status",
+    "mesh": "kernels errors status",
+    "optimising": "mesh kernels errors status",
     "triangulating": "mesh errors status",
     "transferring": "optimising triangulating mesh errors status",
     "files": "transferring mesh errors status",
     "layering": "mesh errors status",
-    "flipping": "optimising mesh errors status",
+    "flipping": "optimising mesh kernels errors status",
     "untangling": "optimising triangulating mesh errors status",
     "warping": "optimising mesh errors status",
     "diagnosing": "triangulating mesh errors status",
@@ -34,7 +35,7 @@ ALLOWED = {
     "pictures": "improving files mesh errors status",
     "batches": "pictures learning improving remeshing smoothing files mesh errors status",
     "commands": "batches pictures learning improving remeshing smoothing flipping untangling warping diagnosing "
-    "optimising triangulating files mesh errors status",
+    "optimising triangulating files mesh kernels errors status",
     "__main__": "commands",
 }
 

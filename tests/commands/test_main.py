@@ -12,6 +12,7 @@ import pytest
 from command_line import Outcome, is_one_clear_line, names, process
 
 from torchmesh.commands import main as cli
+from torchmesh.kernels.library import kernels_in_use
 
 # --- bad input and usage -----------------------------------------------------------------------------
 
@@ -115,7 +116,9 @@ def test_an_unforeseen_error_is_not_hidden(call, monkeypatch):
 def test_version_and_help_as_a_process(folder):
     from importlib.metadata import version
 
-    assert process("--version", folder=folder) == Outcome(0, f"torchmesh {version('torchmesh-untangle')}\n", "")
+    assert process("--version", folder=folder) == Outcome(
+        0, f"torchmesh {version('torchmesh-untangle')}, {kernels_in_use()} kernels\n", ""
+    )
     done = process("--help", folder=folder)
     assert (done.status, done.err) == (0, "")
     for command in ("improve", "quality", "warp", "reproduce"):

@@ -18,6 +18,7 @@ from typing import Annotated
 
 import typer
 
+from ..kernels.library import kernels_in_use
 from . import animate, batch, clean, console, generate, improve, quality, report, reproduce, warp
 from .errors import ClickException
 
@@ -86,7 +87,7 @@ def _give_up_stdout() -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"torchmesh {console.version()}")
+        typer.echo(f"torchmesh {console.version()}, {kernels_in_use()} kernels")
         raise typer.Exit
 
 

@@ -17,8 +17,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..kernels.flips import KIM, METRIC, SAFE, SHAPE, flip_in_rounds
+from ..kernels.library import library_for
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
-from .rules import Quads, Rule, VertexRule
+from .metric_rule import MetricRule
+from .rules import Quads, Rule, VertexRule, kim_rule, safe_rule, shape_rule
 
 # A queue with fewer than 1/16 of all half-edges is sorted; a longer one is marked in a mask, which is then faster.
 _SPARSE = 16
@@ -133,6 +136,11 @@ def flip_rounds(
     else:
         corner = (around.nonzero() * 3 + torch.arange(3, device=around.device)).reshape(-1)
         queue = _each_edge_once(corner, edges.twin)
+    known = _compiled(rule, edges)
+    if known is not None:
+        half_edges, number, metric = (edges.vertex, edges.twin, edges.locked), *known
+        flips = flip_in_rounds((question.x, question.y), half_edges, pinched, queue, number, metric, once, max_rounds)
+        return edges.vertex.reshape(-1, 3), edges.twin, flips
     for _ in range(max_rounds):
         queue = queue[~edges.locked.index_select(0, queue)]
         h, rank, barred = _eligible(edges, question, queue)
@@ -151,6 +159,20 @@ def flip_rounds(
         edges.moved.scatter_(0, diagonals, diagonals)
     flips = torch.cat(log) if log else torch.zeros(0, dtype=torch.int64, device=triangles.device)
     return edges.vertex.reshape(-1, 3), edges.twin, flips
+
+
+_KNOWN: dict[Rule, int] = {safe_rule: SAFE, kim_rule: KIM, shape_rule: SHAPE}
+
+
+def _compiled(rule: Rule | VertexRule, edges: _HalfEdges) -> tuple[int, Tensor | None] | None:
+    """The number by which the compiled loop knows the rule, and its metric; None where torch is to do the work."""
+    # The compiled loop numbers half-edges in 32 bits.
+    if len(edges.vertex) >= 2**31 or library_for(edges.vertex) is None:
+        return None
+    if type(rule) is MetricRule:
+        return METRIC, rule.metric.to(torch.float64)
+    number = None if isinstance(rule, VertexRule) else _KNOWN.get(rule)
+    return None if number is None else (number, None)
 
 
 def _each_edge_once(h: Tensor, twin: Tensor) -> Tensor:

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
+from ..kernels.library import library_for
+from ..kernels.signs import triangle_signs
 from . import connectivity, triangle
 from .batch import MeshBatch
 from .predicates import orientation, orientation_by_products
@@ -92,6 +94,8 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
 
 def upright(batch: MeshBatch) -> Tensor:
     """(T,) bool: the triangle's area is positive, by exact sign."""
+    if library_for(batch.points) is not None:
+        return triangle_signs(batch.points.to(torch.float64), batch.triangles) > 0
     return orientation(*corners(batch.points, batch.triangles)) > 0
 
 

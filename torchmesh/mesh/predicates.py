@@ -11,6 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..kernels.library import library_for
+from ..kernels.signs import incircle_signs, orientation_signs
+
 _EPSILON = 2.0**-53
 
 
@@ -27,6 +30,8 @@ _UNDERFLOW = 1e-270
 def orientation(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor) -> Tensor:
     """(N,) int8 sign of twice the signed area of abc: 1 counter-clockwise, -1 clockwise, 0 flat."""
     rows = [v.to(torch.float64) for v in (ax, ay, bx, by, cx, cy)]
+    if library_for(ax) is not None:
+        return orientation_signs(rows)
     ax, ay, bx, by, cx, cy = rows
     return orientation_by_products((bx - ax) * (cy - ay), (by - ay) * (cx - ax), rows)
 
@@ -39,6 +44,8 @@ def orientation_by_products(left: Tensor, right: Tensor, rows: Sequence[Tensor])
 def incircle(ax: Tensor, ay: Tensor, bx: Tensor, by: Tensor, cx: Tensor, cy: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
     """(N,) int8 sign: 1 when d lies inside the circle through the counter-clockwise abc."""
     rows = [v.to(torch.float64) for v in (ax, ay, bx, by, cx, cy, dx, dy)]
+    if library_for(ax) is not None:
+        return incircle_signs(rows)
     ax, ay, bx, by, cx, cy, dx, dy = rows
     ax, ay, bx, by, cx, cy = ax - dx, ay - dy, bx - dx, by - dy, cx - dx, cy - dy
     bc_l, bc_r = bx * cy, by * cx

@@ -10,6 +10,8 @@ from typing import ClassVar, Protocol
 import torch
 from torch import Tensor
 
+from ..kernels.energies import Formula
+
 
 class Energy(Protocol):
     """An energy of one triangle as a function of its invariants; parameters are (T,) or floats.
@@ -26,6 +28,16 @@ class Energy(Protocol):
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(T,) phi, d phi / d stretch, d phi / d det, derived by hand."""
         ...
+
+
+def formula_of(energy: Energy) -> Formula | None:
+    """What the compiled loops call this energy; None: they do not know it.
+
+    A class that inherits the method from another may compute something else, so it must state the method itself.
+    """
+    known = vars(type(energy)).get("formula")
+    formula: Formula | None = None if known is None else known(energy)
+    return formula
 
 
 def whole_power(x: Tensor, power: int) -> Tensor:
@@ -48,6 +60,9 @@ class InverseMeanRatio:
     stretches: ClassVar[bool] = True
     power: int = 2
     ceiling: float | None = None
+
+    def formula(self) -> Formula:
+        return Formula(0, power=self.power, ceiling=self.ceiling or 0.0)
 
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
         upright = det > 0
@@ -84,6 +99,9 @@ class UntangleBeta:
     stretches: ClassVar[bool] = False
     beta: Tensor | float
 
+    def formula(self) -> Formula:
+        return Formula(1, parameter=self.beta)
+
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
         excess = 0.5 * det - self.beta
         return (0.5 * (excess.abs() - excess)).square()
@@ -105,6 +123,9 @@ class Regularised:
     stretches: ClassVar[bool] = True
     eps: Tensor | float
     theta: float = 1 / 128
+
+    def formula(self) -> Formula:
+        return Formula(2, theta=self.theta, parameter=self.eps)
 
     def value(self, stretch: Tensor, det: Tensor) -> Tensor:
         return ((1 - self.theta) * stretch + self.theta * (1 + det * det)) / self.chi(det)

@@ -11,15 +11,27 @@ backtracking with a sufficient decrease (Nocedal & Wright, Numerical Optimizatio
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from ..kernels.minimiser import Outcome
 from ..mesh.ragged import counts_from_offsets
 from ..status import Status
 from .blocks import Blocks, block_width
 from .lbfgs_history import History
+
+
+@runtime_checkable
+class Compiled(Protocol):
+    """An objective for which there may be a compiled minimiser."""
+
+    def minimised(
+        self, start: Tensor, options: "LbfgsOptions", monitor: Callable[[int, Tensor], None] | None
+    ) -> Outcome | None:
+        """What that comes to from `start` (N,); None where torch is to do its work."""
+        ...
 
 
 class Objective(Protocol):
@@ -120,6 +132,10 @@ def minimise(
     monitor is called with the iteration and the energies (B',) of the problems still running.
     """
     options = options or LbfgsOptions()
+    if isinstance(objective, Compiled):
+        outcome = objective.minimised(start, options, monitor)
+        if outcome is not None:
+            return LbfgsResult(*outcome)
     problems = len(objective.block_offsets) - 1
     numbers = torch.zeros((2, problems), dtype=torch.float64, device=start.device)
     counts = torch.zeros((3, problems), dtype=torch.int64, device=start.device)

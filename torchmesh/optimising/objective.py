@@ -7,12 +7,16 @@ Only triangles with a free vertex take part.
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from ..kernels.energies import PackedTriangles, energies
+from ..kernels.library import library_for
+from ..kernels.minimiser import Outcome, Settings, minimise_meshes
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
@@ -25,8 +29,9 @@ from ..mesh.ragged import (
 from ..mesh.units import centre_and_unit
 from .assembly import Chunk, chunk_offsets, chunks_of, energy_and_forces
 from .blocks import BLOCK, block_width
-from .energies import Energy
+from .energies import Energy, formula_of
 from .jacobian import EdgeMap, Target, select_rows
+from .lbfgs import LbfgsOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +215,22 @@ class MeshObjective:
     def __call__(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         """The energy of each mesh (B,), its gradient (N,), and which meshes are done (B,) bool or None."""
         coordinates = torch.cat([unknowns, self.anchored])
+        packed = self.compiled
+        if packed is not None:
+            energy, gradient, least = energies(packed, coordinates, self.triangle_offsets)
+            return energy, gradient[: len(unknowns)], None if self.enough is None else least > self.enough
         phi, gradient, det = energy_and_forces(coordinates, self.chunks)
         energy = segment_sum(phi.to(torch.float64), self.triangle_offsets)
         done = None if self.enough is None else segment_min(det, self.triangle_offsets) > self.enough
         return energy, gradient[: len(unknowns)], done
+
+    @property
+    def compiled(self) -> PackedTriangles | None:
+        """The triangles as the compiled loops take them; None where torch is to do their work."""
+        if library_for(self.rows) is None:
+            return None
+        formula = formula_of(self.energy)
+        return formula and PackedTriangles(formula, self.target, self.rows, self.edges, self.edge_map)
 
     @functools.cached_property
     def chunks(self) -> list[Chunk]:
@@ -229,6 +246,21 @@ class MeshObjective:
             e1, e2 = chunk.edges_at(coordinates).unbind(0)
             parts.append(chunk.target.m * (e1[0] * e2[1] - e1[1] * e2[0]))
         return torch.cat([coordinates[:0], *parts])
+
+    def minimised(
+        self, start: Tensor, options: LbfgsOptions, monitor: Callable[[int, Tensor], None] | None
+    ) -> Outcome | None:
+        """What the compiled minimiser comes to from `start` (N,); None where torch is to do its work."""
+        packed = self.compiled
+        if packed is None:
+            return None
+        width = block_width(len(start), self.block_offsets)
+        anchored, scale = self.anchored.to(start.dtype), self.scale.to(start.dtype)
+        offsets = self.block_offsets.contiguous(), self.triangle_offsets.contiguous()
+        settings = Settings(*(getattr(options, name) for name in Settings._fields))
+        return minimise_meshes(
+            packed, anchored, scale, *offsets, width, start.contiguous(), settings, self.enough, monitor
+        )
 
     def select(self, keep: Tensor) -> "MeshObjective":
         """The objective of the meshes `keep` (B,) bool, over their unknowns alone."""
