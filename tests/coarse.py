@@ -1,5 +1,7 @@
 """A mesh whose boundary is too coarse for the vertices inside, for several tests."""
 
+import functools
+
 import meshes
 import torch
 
@@ -8,6 +10,7 @@ from torchmesh.mesh import connectivity
 from torchmesh.remeshing.options import RemeshOptions
 
 
+@functools.cache
 def strip(cells: int = 9, length: float = 20.0, width: float = 1.0) -> tm.MeshBatch:
     """A square's mesh with its boundary laid round a long strip at equal steps: few long edges, many vertices."""
     mesh = meshes.grid(cells, cells)

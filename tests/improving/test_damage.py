@@ -158,7 +158,7 @@ def test_a_batch_is_each_mesh_alone():
         meshes.jittered(),
     ]
     for topology in ("keep", "flip", "full"):
-        options = damage(topology=topology)
+        options = damage(topology=topology, remesh=tm.RemeshOptions(max_rounds=3))
         whole, report = improve(tm.join(parts), options)
         for b, (mesh, joined) in enumerate(zip(parts, whole.split(), strict=True)):
             alone, its = improve(mesh, options)

@@ -12,6 +12,9 @@ from torchmesh.improving import faults, stages, strategies
 from torchmesh.smoothing import boundary_order, sliding
 from torchmesh.untangling import averaging
 
+# A few rounds of remeshing take every step of it.
+FEW = tm.RemeshOptions(max_rounds=2)
+
 # Where a stage or another part of the strategy does its work, the options under which it does, and its name.
 PLACES = [
     (stages, "flip_to_delaunay", {}, "flip"),
@@ -21,8 +24,8 @@ PLACES = [
     (stages.polishing, "polish", {}, "polish"),
     (faults, "diagnose", {}, "diagnose"),
     (strategies, "same_frame", {}, "certify"),
-    (strategies, "size_field", {"topology": "full"}, "sizes"),
-    (strategies, "size_conformity", {"topology": "full"}, "sizes"),
+    (strategies, "size_field", {"topology": "full", "remesh": FEW}, "sizes"),
+    (strategies, "size_conformity", {"topology": "full", "remesh": FEW}, "sizes"),
 ]
 
 

@@ -8,13 +8,15 @@ from judges import assert_same_domain
 from layered import first_heights, flat_layer, round_body, turned_body
 from meshes import jittered
 
-from torchmesh import ImproveOptions, MeshBatch, SmoothOptions, improve, join, quality, target_from
+from torchmesh import ImproveOptions, MeshBatch, RemeshOptions, SmoothOptions, improve, join, quality, target_from
 from torchmesh.layering.layers import find_layers
 
+# A few rounds of remeshing take every step of it.
+FEW = RemeshOptions(max_rounds=3)
 TOPOLOGIES = {
     "flip": ImproveOptions(),
     "keep": ImproveOptions(topology="keep"),
-    "full": ImproveOptions(topology="full"),
+    "full": ImproveOptions(topology="full", remesh=FEW),
     "slide": ImproveOptions(boundary="slide"),
 }
 
@@ -53,7 +55,7 @@ def test_with_a_reference_layers_follow_a_body_that_turns(topology, degrees):
     mesh = round_body(first=1e-5, growth=2.2)
     moved = turned_body(mesh, 24, degrees, (0.1, 0.0))
     assert int(quality(moved).inverted[0]) > 0
-    out, report = improve(moved, ImproveOptions(topology=topology, reference=mesh))
+    out, report = improve(moved, ImproveOptions(topology=topology, reference=mesh, remesh=FEW))
     assert bool(report.certified[0])
     assert torch.allclose(first_heights(out, 24), first_heights(mesh, 24), rtol=1e-6)
     assert re.search(r"layer of 8 at the wall near \(.*\), first height 1e-05: kept$", report.messages[0])
@@ -66,7 +68,7 @@ def test_a_layer_for_which_there_is_no_room_gives_way_row_by_row(topology):
     assert float(found.height.sum()) / 24 > 0.3
     # The wall comes within 0.1 of the outer boundary; its layer is higher than that.
     moved = turned_body(mesh, 24, 0.0, (0.9, 0.0))
-    out, report = improve(moved, ImproveOptions(topology=topology, reference=mesh))
+    out, report = improve(moved, ImproveOptions(topology=topology, reference=mesh, remesh=FEW))
     assert bool(report.valid[0])
     assert_same_domain(moved, out)
     if report.vertex_map is not None:
@@ -106,7 +108,7 @@ def test_equilateral_shapes_and_targets_have_no_layers():
 @pytest.mark.parametrize("topology", ["flip", "full"])
 def test_joined_equals_alone_to_the_bit(topology):
     meshes = [jittered(), pushed(), round_body(sides=12, rows=4, growth=3.0, around=2)]
-    options = ImproveOptions(topology=topology, workers=1)
+    options = ImproveOptions(topology=topology, workers=1, remesh=FEW)
     whole, _ = improve(join(meshes), options)
     for mesh, joined in zip(meshes, whole.split(), strict=True):
         alone, _ = improve(mesh, options)

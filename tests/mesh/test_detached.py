@@ -10,10 +10,12 @@ import torch
 import torchmesh as tm
 from torchmesh.mesh.detached import detached, without_autograd
 
+# A few rounds of remeshing take every step of it.
+FEW = tm.RemeshOptions(max_rounds=2)
 VERBS = {
     "improve": lambda rest, tangled, valid: tm.improve(tangled),
     "keep": lambda rest, tangled, valid: tm.improve(tangled, tm.ImproveOptions(topology="keep", reference=rest)),
-    "full": lambda rest, tangled, valid: tm.improve(tangled, tm.ImproveOptions(topology="full")),
+    "full": lambda rest, tangled, valid: tm.improve(tangled, tm.ImproveOptions(topology="full", remesh=FEW)),
     "slide": lambda rest, tangled, valid: tm.improve(tangled, tm.ImproveOptions(boundary="slide")),
     "paper": lambda rest, tangled, valid: tm.improve(tangled, tm.ImproveOptions.paper()),
     "sizes": lambda rest, tangled, valid: tm.improve(
@@ -26,7 +28,7 @@ VERBS = {
     "smooth": lambda rest, tangled, valid: tm.smooth(valid, tm.SmoothOptions(single=True)),
     "flip": lambda rest, tangled, valid: tm.flip_to_delaunay(tangled),
     "polish": lambda rest, tangled, valid: tm.polish(valid),
-    "remesh": lambda rest, tangled, valid: tm.remesh(valid),
+    "remesh": lambda rest, tangled, valid: tm.remesh(valid, FEW),
     "relax": lambda rest, tangled, valid: tm.relax(tangled),
     "femwarp": lambda rest, tangled, valid: tm.femwarp(rest, tangled.points),
     "deform": lambda rest, tangled, valid: tm.deform(rest, tangled.points),

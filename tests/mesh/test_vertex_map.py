@@ -25,7 +25,7 @@ def test_the_map_names_what_went_and_what_came():
     batch = tm.join([meshes.grid(12, 12), meshes.ring(16, 4), meshes.l_shape(3)])
     factor = torch.tensor([2.0, 0.5, 0.6], dtype=torch.float64)
     sizes = size_field(batch, "uniform") * spread(factor, batch.point_offsets)
-    after, info = remesh(batch, RemeshOptions(sizes=sizes))
+    after, info = remesh(batch, RemeshOptions(sizes=sizes, max_rounds=4))
     m = info.vertex_map
     assert m.old_to_new.shape == (len(batch.points),)
     assert m.new_to_old.shape == (len(after.points),)
@@ -70,11 +70,11 @@ def test_fields_are_carried():
 def test_the_map_of_a_batch_falls_into_those_of_its_meshes():
     batch = tm.join([meshes.grid(8, 8), meshes.ring(16, 4), meshes.l_shape(3)])
     sizes = 0.7 * size_field(batch, "uniform")
-    after, info = remesh(batch, RemeshOptions(sizes=sizes))
+    after, info = remesh(batch, RemeshOptions(sizes=sizes, max_rounds=4))
     assert str(info.vertex_map).startswith("VertexMap(")
     for b, (part, own) in enumerate(zip(batch.split(), info.vertex_map.split(batch, after), strict=True)):
         rows = slice(int(batch.point_offsets[b]), int(batch.point_offsets[b + 1]))
-        single, alone = remesh(part, RemeshOptions(sizes=sizes[rows]))
+        single, alone = remesh(part, RemeshOptions(sizes=sizes[rows], max_rounds=4))
         for name in ("old_to_new", "new_to_old", "rows", "sources", "weights"):
             assert torch.equal(getattr(own, name), getattr(alone.vertex_map, name)), name
         assert len(own.carry(part.points)) == len(single.points)
@@ -87,7 +87,7 @@ def test_files_keep_their_point_fields(tmp_path):
     cells = [("triangle", mesh.triangles.numpy())]
     meshio.Mesh(lift(mesh).numpy(), cells, point_data=data).write(tmp_path / "in.vtu")
     given = tm.read(tmp_path / "in.vtu")
-    after, info = remesh(given, RemeshOptions(sizes=lambda p: torch.full((len(p),), 0.07)))
+    after, info = remesh(given, RemeshOptions(sizes=lambda p: torch.full((len(p),), 0.07), max_rounds=4))
     tm.write(tmp_path / "out.vtu", after, like=tmp_path / "in.vtu", vertex_map=info.vertex_map)
     written = meshio.read(tmp_path / "out.vtu")
     assert len(written.points) == len(after.points) > len(mesh.points)

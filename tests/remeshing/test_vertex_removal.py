@@ -80,7 +80,7 @@ def test_walls_and_fixed_vertices_stay():
 
 def test_joined_equals_alone_to_the_bit():
     batch = [meshes.jittered(6, 5, 0.5, 0), crowded(4, 12), meshes.grid(3, 3), crowded(8, 70)]
-    options = ImproveOptions(topology="full")
+    options = ImproveOptions(topology="full", remesh=RemeshOptions(max_rounds=3))
     together, report = improve(join(batch), options)
     assert bool(report.certified.all())
     maps = report.vertex_map.split(join(batch), together)

@@ -1,3 +1,5 @@
+import copy
+
 import numpy as np
 import pytest
 import shapely
@@ -52,10 +54,12 @@ def test_recover_on_a_lattice(seed):
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
     points = np.concatenate([20 * SQUARE - 6, np.stack([x.ravel(), y.ravel()], 1)])
-    for _ in range(20):
-        work = triangulate_polygon(points, [np.arange(4)], np.ones(len(points)))
-        vertices = rng.permutation(np.arange(4, len(points)))
-        assert len(work.insert(vertices, locate(points, vertices, work.corners), seed)) == 0
+    for trial in range(20):
+        if trial % 5 == 0:
+            made = triangulate_polygon(points, [np.arange(4)], np.ones(len(points)))
+            vertices = rng.permutation(np.arange(4, len(points)))
+            assert len(made.insert(vertices, locate(points, vertices, made.corners), seed)) == 0
+        work = copy.deepcopy(made)
         u, v = rng.permutation(vertices)[:2]
         primitive = np.gcd(*np.abs(points[u] - points[v]).astype(int)) == 1
         obstacle = recover(work, np.array([[u, v]]))
