@@ -1,4 +1,4 @@
-"""Walls are called what a file calls them: physical groups, markers, surfaces, regions on both sides of an interface."""
+"""Walls are called what a file calls them: groups, markers, surfaces, the regions beside an interface."""
 
 import meshio
 import numpy as np

@@ -103,7 +103,7 @@ def retriangulate() -> Stage:
     from ..untangling.retriangulation import retriangulate_cavities
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
-        mesh, info = retriangulate_cavities(state.mesh)
+        mesh, info = retriangulate_cavities(state.mesh, state.origin.interfaces)
         return replace(state.at(mesh), reasons=tuple(info.reasons)), Work.done(state, cavities=info.cavities)
 
     return stage
@@ -201,7 +201,9 @@ def _holding(state: State) -> MeshBatch:
 
 
 def sized(options: RemeshOptions, state: State) -> RemeshOptions:
-    """The options of remeshing with the targets of `state`, and with the sizes at its vertices."""
+    """The options of remeshing with the targets and interfaces of `state`, and with the sizes at its vertices."""
+    if state.origin.interfaces == "free":
+        options = replace(options, interfaces="free")
     if state.targets is not None:
         options = replace(options, smooth=replace(options.smooth, targets=state.targets))
     if isinstance(options.sizes, torch.Tensor):

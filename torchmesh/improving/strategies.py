@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions
-from ..mesh.batch import MeshBatch
+from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.certificate import same_frame
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
@@ -145,6 +145,10 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
     # Where edges may flip, the other ways have mended what can be mended beside a fault.
     hopeful = state.tangled & ~(state.impossible & o.may_flip)
     bounded = state.faulty | o.may_flip
+    if o.at_interfaces == "free":
+        # Cavities do little for interfaces that are out of place, so that kept triangles are the best hope.
+        walled = torch.zeros_like(bounded).index_fill_(0, constraint_owner(state.mesh), True)
+        bounded &= state.faulty | ~walled
     for at, options in ((hopeful & bounded, o.rounds.last_untangling), (hopeful & ~bounded, UntangleOptions())):
         if not bool(at.any()):
             continue

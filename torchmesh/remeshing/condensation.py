@@ -107,6 +107,7 @@ def _condensed(batch: MeshBatch, remesh: RemeshOptions, options: CondenseOptions
         torch.ones(len(batch.points), dtype=torch.float64, device=batch.points.device),
         metric=metric_at(batch, remesh),
         sources=place_sources(batch, options.sources),
+        interfaces=remesh.interfaces,
     )
     going, better = state.every(), ~state.every()
     for _ in range(options.passes):

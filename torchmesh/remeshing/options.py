@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from torch import Tensor
 
+from ..mesh.interfaces import Interfaces, check_interfaces
 from ..smoothing.smoothing import SmoothOptions
 from .sizing import Sizes, check_sizes
 
@@ -18,6 +19,8 @@ class RemeshOptions:
     worst           no split or collapse makes a triangle of higher inverse mean ratio, unless one as bad was there
     split_boundary  may boundary and constrained edges be halved?  Their course stays as it is
     max_rounds      rounds of splitting, collapsing, flipping and smoothing at most
+    interfaces      "free": the smoothing moves the ends of constrained edges as it moves any vertex; otherwise they
+                    stay.  None of them is taken out in either case, and none of these edges is flipped
     smooth          the last smoothing, where all rows stay at five times its tolerance.  A metric field as its
                     `targets` holds for all of the remeshing: lengths and shapes are then those that it measures, so
                     that it stretches edges and leaves areas alone
@@ -29,6 +32,7 @@ class RemeshOptions:
     worst: float = 3.0
     split_boundary: bool = False
     max_rounds: int = 8
+    interfaces: Interfaces | None = None
     smooth: SmoothOptions = field(default_factory=lambda: SmoothOptions(ceiling=1.5, energy_tolerance=1e-4))
 
     @property
@@ -38,6 +42,7 @@ class RemeshOptions:
 
     def __post_init__(self) -> None:
         check_sizes(self.sizes)
+        check_interfaces(self.interfaces, "RemeshOptions.interfaces")
         # An edge that was just halved must not be short, nor one that comes of a collapse long.
         if not 0 < self.collapse_below <= self.split_above / 2:
             raise ValueError(

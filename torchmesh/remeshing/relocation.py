@@ -56,11 +56,11 @@ class Relocated:
 def relocate(batch: MeshBatch, options: RemeshOptions) -> tuple[MeshBatch, Relocated]:
     """Let vertices of valid meshes travel towards the sizes of the options.
 
-    Interfaces stay.  What makes shapes worse is taken back.  Where the boundary is much too coarse for the vertices,
-    they are condensed at point sources instead (`condensation`).  The boundary is not split, whatever the options say,
-    since that would add vertices.
+    Interfaces stay, or move as smoothing asks (`RemeshOptions.interfaces`).  What makes shapes worse is taken back.
+    Where the boundary is much too coarse for the vertices, they are condensed at point sources instead
+    (`condensation`).  The boundary is not split, whatever the options say, since that would add vertices.
     """
-    given, batch = batch, holding(batch)
+    given, batch = batch, holding(batch, options.interfaces)
     moved, info = condense(batch, options)
     size = torch.full((len(batch.points),), torch.nan, dtype=torch.float64, device=batch.points.device)
     splits, flips, at = torch.zeros_like(info.flips), info.flips, ~info.done
@@ -90,5 +90,5 @@ def relocated(batch: MeshBatch, options: RemeshOptions, rounds: Tensor | None = 
         resize=lambda state, moved: replace(state, batch=moved),
         finish=settle_once,
     )
-    state = RemeshState.begin(batch, size, metric=metric)
+    state = RemeshState.begin(batch, size, metric=metric, interfaces=options.interfaces)
     return improved(state if rounds is None else replace(state, rounds=rounds), plan)

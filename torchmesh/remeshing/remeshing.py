@@ -14,11 +14,11 @@ from ..mesh.measure import quality
 from ..mesh.ragged import counts_from_offsets, segment_any, spread
 from ..mesh.vertex_map import Names, VertexMap
 from ..optimising.metric_field import MetricField
-from ..smoothing.smoothing import SmoothOptions, smooth
+from ..smoothing.smoothing import SmoothOptions
 from .cuts import cut_freely
 from .metric_sizing import metric_conformity
 from .options import RemeshOptions
-from .rounds import Pace, Plan, asked_sizes, improved, metric_at, remesh_by_plan, settle
+from .rounds import Pace, Plan, asked_sizes, improved, metric_at, remesh_by_plan, settle, smoothed
 from .sizing import SizeConformity, carried, size_conformity, size_field
 from .state import RemeshState
 
@@ -67,8 +67,9 @@ def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[Mesh
     come after them, mesh by mesh.  A mesh that has inverted triangles comes back as it was.
     """
     options = options or RemeshOptions()
-    given, batch = batch, holding(batch)
-    state = RemeshState.begin(batch, size_field(batch, "keep"), metric=metric_at(batch, options))
+    given, batch = batch, holding(batch, options.interfaces)
+    there, metric = size_field(batch, "keep"), metric_at(batch, options)
+    state = RemeshState.begin(batch, there, metric=metric, interfaces=options.interfaces)
     begun = state
     valid = ~segment_any(~quality(batch).upright, batch.triangle_offsets)
     if bool(valid.any()):
@@ -89,7 +90,8 @@ def remesh_valid(batch: MeshBatch, options: RemeshOptions, names: Names | None =
     """
     metric = metric_at(batch, options)
     size = asked_sizes(batch, options.sizes, metric, counts_from_offsets(batch.triangle_offsets))
-    begun = RemeshState.begin(holding(batch), size, names=names, metric=metric)
+    held = holding(batch, options.interfaces)
+    begun = RemeshState.begin(held, size, names=names, metric=metric, interfaces=options.interfaces)
     state = improved(begun, _plan(options))
     return state.released(batch, begun), state
 
@@ -127,6 +129,4 @@ def _finish(state: RemeshState, plan: Plan) -> RemeshState:
         flipped = part.flips > state.flips[at]
         state = state.put(at, part)
         at = at.masked_scatter(at, flipped)
-    metric = None if state.metric is None else MetricField(state.metric)
-    smoothed, _ = smooth(state.batch, replace(plan.options.smooth, targets=metric))
-    return plan.resize(state, smoothed)
+    return plan.resize(state, smoothed(state, plan.options.smooth))

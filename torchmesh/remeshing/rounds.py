@@ -127,8 +127,15 @@ def settle(state: RemeshState, plan: Plan, smoothing: SmoothOptions) -> RemeshSt
     """Flip edges, smooth, and read the sizes where the vertices are then."""
     metric = None if state.metric is None else MetricField(state.metric)
     flipped, info = flip_to_delaunay(state.batch, FlipOptions(rule="shape"), metric=metric)
-    smoothed, _ = smooth(flipped, replace(smoothing, targets=metric))
-    return plan.resize(replace(state, batch=flipped, flips=state.flips + info.flips), smoothed)
+    state = replace(state, batch=flipped, flips=state.flips + info.flips)
+    return plan.resize(state, smoothed(state, smoothing))
+
+
+def smoothed(state: RemeshState, smoothing: SmoothOptions) -> MeshBatch:
+    """The batch of the state after smoothing towards its metric, with its interfaces free if the state says so."""
+    metric = None if state.metric is None else MetricField(state.metric)
+    interfaces = "free" if state.free_interfaces else smoothing.interfaces
+    return smooth(state.batch, replace(smoothing, targets=metric, interfaces=interfaces))[0]
 
 
 def settle_once(state: RemeshState, plan: Plan) -> RemeshState:

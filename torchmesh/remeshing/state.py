@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, constrained_half_edges, vertex_mesh
+from ..mesh.interfaces import Interfaces, interface_vertices
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from ..mesh.units import centre_and_unit
@@ -38,6 +39,7 @@ class RemeshState:
     splits, collapses, flips, rounds  (B,) int64, what was done so far
     metric     (V, 3) float64, entries m11, m12, m22 of determinant 1; None: lengths are those of the plane
     sources    the point sources from which sizes grow (condensation only)
+    free_interfaces  whether the vertices on constrained edges move like any vertex; collapses spare them all the same
     """
 
     batch: MeshBatch
@@ -50,6 +52,7 @@ class RemeshState:
     rounds: Tensor
     metric: Tensor | None = None
     sources: PointSources | None = None
+    free_interfaces: bool = False
 
     @classmethod
     def begin(
@@ -60,15 +63,17 @@ class RemeshState:
         names: Names | None = None,
         metric: Tensor | None = None,
         sources: PointSources | None = None,
+        interfaces: Interfaces | None = None,
     ) -> "RemeshState":
         """The state before anything was done, with sizes that aim at as many triangles as there are.
 
-        names  None: `batch` is where the vertex map begins
+        names       None: `batch` is where the vertex map begins
+        interfaces  "free": their vertices move like any vertex; otherwise the caller holds them
         """
         names = Names.of_rows(len(batch.points), batch.points.device) if names is None else names
         wanted = counts_from_offsets(batch.triangle_offsets)
         zero = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
-        return cls(batch, size, names, wanted, zero, zero, zero, zero, metric, sources)
+        return cls(batch, size, names, wanted, zero, zero, zero, zero, metric, sources, interfaces == "free")
 
     def __len__(self) -> int:
         return len(self.batch)
@@ -98,6 +103,7 @@ class RemeshState:
             wanted=self.wanted[at],
             metric=None if self.metric is None else self.metric[rows],
             sources=None if self.sources is None else self.sources.select(at),
+            free_interfaces=self.free_interfaces,
             **{name: getattr(self, name)[at] for name in _COUNTS},
         )
 
@@ -151,7 +157,7 @@ def editable(state: RemeshState) -> Editable:
         x=points[:, 0].contiguous(),
         y=points[:, 1].contiguous(),
         size=state.size / unit,
-        fixed=batch.fixed.clone(),
+        fixed=batch.fixed | interface_vertices(batch),
         mesh=vertex_mesh(batch),
         origin=state.names.of.clone(),
         vertex=batch.triangles.reshape(-1).clone(),
@@ -171,10 +177,16 @@ def rebuilt(state: RemeshState, e: Editable) -> RemeshState:
     kept, faces, locked, vertices, triangles = compact(e)
     unit = centre_and_unit(state.batch.points, state.batch.point_offsets)[1][e.mesh[kept]]
     points = (torch.stack([e.x[kept], e.y[kept]], 1) * unit[:, None]).to(state.batch.points)
+    fixed = e.fixed[kept]
+    if state.free_interfaces:
+        # What `editable` held for the edits is free again, and so is what halves an edge between such vertices.
+        there, count = kept < len(state.batch.fixed), len(kept)
+        on_boundary = connectivity.boundary_vertices(faces, connectivity.twins(faces), count)
+        fixed = torch.where(there, state.batch.fixed[kept.clamp_max(len(state.batch.fixed) - 1)], on_boundary)
     batch = MeshBatch(
         points,
         faces,
-        e.fixed[kept],
+        fixed,
         locked,
         offsets_from_counts(vertices),
         offsets_from_counts(triangles),

@@ -55,14 +55,16 @@ class Removed:
 def remove_vertices(batch: MeshBatch, options: RemeshOptions, names: Names | None = None) -> tuple[MeshBatch, Removed]:
     """Take free vertices out of tangled meshes until they are valid.
 
-    Boundary, constrained edges, regions and fixed vertices stay.  Each round takes out vertices of inverted
+    Boundary, constrained edges, regions and fixed vertices stay; no vertex on a constrained edge is taken out, but
+    cavities may move it where `options.interfaces` is "free".  Each round takes out vertices of inverted
     triangles, no two of them neighbours, those first that make the sum of |area| least.  Cavities are
     re-triangulated after one round, again after two more, then after four more, and so on.  A mesh is left
     tangled only if no vertex can go.
 
     names  of the vertices; None: `batch` is where the vertex map begins
     """
-    begun = RemeshState.begin(holding(batch), size_field(batch, "keep"), metric=metric_at(batch, options))
+    sizes, metric = size_field(batch, "keep"), metric_at(batch, options)
+    begun = RemeshState.begin(holding(batch, options.interfaces), sizes, metric=metric, interfaces=options.interfaces)
     state = begun
     cavities = torch.zeros_like(state.rounds)
     going, rounds = state.every(), 1
@@ -71,7 +73,7 @@ def remove_vertices(batch: MeshBatch, options: RemeshOptions, names: Names | Non
         e = editable(given)
         taken = sum((collapse_round(e) for _ in range(rounds)), torch.zeros_like(given.collapses))
         part = rebuilt(replace(given, collapses=given.collapses + taken), e)
-        mended, info = retriangulate_cavities(part.batch)
+        mended, info = retriangulate_cavities(part.batch, options.interfaces)
         left, before = quality(mended).inverted, quality(part.batch).inverted
         better = left < before
         if bool(better.any()):

@@ -192,8 +192,10 @@ def heads(side: Side) -> np.ndarray:
 def nearest_triangles(side: Side, x: np.ndarray, y: np.ndarray, mesh: np.ndarray) -> np.ndarray:
     """(P,) for each point of the meshes `mesh` a triangle round it, or the one at the nearest edge of the boundary."""
     points = np.stack([x, y], 1)
-    found, _, upright = _containing(side, points, mesh)
     home = np.full(len(points), -1)
+    if not len(points):
+        return home
+    found, _, upright = _containing(side, points, mesh)
     for allowed in (~upright, upright):
         best = _best(found, allowed)
         home[best.point] = best.triangle

@@ -7,6 +7,7 @@ the result is checked as a whole.
 """
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,10 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, constrained_half_edges, join
-from ..mesh.interfaces import holding
+from ..mesh.connectivity import corners_of, touching
+from ..mesh.interfaces import Interfaces, holding
+from ..mesh.measure import upright
+from ..optimising.laplacian import harmonic_extension
 from ..triangulating.arrays import Obstacle, among, distinct, signs
 from ..triangulating.polygon import unit_exponent
 from ..triangulating.touching import plane_boundary
@@ -106,14 +110,27 @@ class RetriangulationInfo:
     reasons: list[str]
 
 
-def retriangulate_cavities(batch: MeshBatch) -> tuple[MeshBatch, RetriangulationInfo]:
-    """`untangle_by_retriangulation` of each mesh of a batch, without the check of the whole at the end."""
+def retriangulate_cavities(
+    batch: MeshBatch, interfaces: Interfaces | None = None
+) -> tuple[MeshBatch, RetriangulationInfo]:
+    """`untangle_by_retriangulation` of each mesh of a batch, without the check of the whole at the end.
+
+    interfaces  "free": where constrained edges are in the way of cavities, they are moved first (`walls_moved`)
+    """
     region, face = _regions(batch), batch.triangle_offsets.tolist()
     meshes, made, reasons = [], [], []
     for b, mesh in enumerate(batch.split()):
         work = _Work(mesh, None)
         # Regions are numbered by their first triangles, so those of a mesh follow each other.
-        reasons.append("; ".join(work.untangle(region[face[b] : face[b + 1]] - region[face[b]])))
+        own = region[face[b] : face[b + 1]] - region[face[b]]
+        left = work.untangle(own)
+        if left and interfaces == "free" and len(mesh.constrained_edges):
+            for moved in walls_moved(mesh):
+                again = _Work(moved, None)
+                if not again.untangle(own):
+                    mesh, work, left = moved, again, []
+                    break
+        reasons.append("; ".join(left))
         meshes.append(work.result(mesh).mesh)
         made.append(work.cavities)
     return join(meshes), RetriangulationInfo(torch.tensor(made, dtype=torch.int64, device=batch.points.device), reasons)
@@ -123,6 +140,33 @@ def _regions(batch: MeshBatch) -> np.ndarray:
     """(T,) the region of each triangle: boundary and constrained edges close it off; numbered by first triangles."""
     walls = constrained_half_edges(batch) if len(batch.constrained_edges) else None
     return connectivity.triangle_components(batch.triangles, batch.twin, walls).cpu().numpy()
+
+
+# The rings of triangles round the inverted ones within which walls are moved, the fewest first.
+_RINGS = (2, 6, 18)
+
+
+def walls_moved(mesh: MeshBatch) -> Iterator[MeshBatch]:
+    """One mesh with the vertices near its inverted triangles at the means of their neighbours, in ever wider rings.
+
+    The means keep what lies inside a convex part of the plane from crossing (Tutte, How to draw a graph, Proceedings of
+    the London Mathematical Society s3-13, 1963).  Elsewhere triangles may stay inverted, but cavities only need that
+    constrained edges do not cross each other or the boundary.
+    """
+    one = torch.ones(len(mesh.triangles), dtype=torch.float64, device=mesh.points.device)
+    near, rings = ~upright(mesh), 0
+    for goal in (*_RINGS, None):
+        while goal is None or rings < goal:
+            wider = touching(mesh.triangles, corners_of(mesh.triangles, near, len(mesh.points)))
+            rings += 1
+            if bool((wider == near).all()):
+                break
+            near = wider
+        still = mesh.fixed | corners_of(mesh.triangles, ~near, len(mesh.points))
+        points = harmonic_extension(mesh.triangles, (one, one, one), still, mesh.points, mesh.point_offsets)
+        yield mesh.with_points(points)
+        if bool(near.all()):
+            return
 
 
 class _Work:
