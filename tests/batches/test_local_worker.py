@@ -51,7 +51,7 @@ def test_a_closed_run_leaves_no_process(tmp_path):
 def test_a_lost_worker_kills_nobody_when_a_library_made_broken_pipes_deadly():
     """gmsh does so in `initialize`: then a write to a process that is gone would end the caller."""
     code = """
-import signal
+import signal, subprocess, sys
 from torchmesh import ImproveOptions
 from torchmesh.batches.batches import Job
 from torchmesh.batches.local_worker import LocalWorker
@@ -59,9 +59,10 @@ from torchmesh.batches.workers import WorkerLost
 
 signal.signal(signal.SIGPIPE, signal.SIG_DFL)
 worker = LocalWorker(ImproveOptions(), 100, "")
-process = worker._running()
-process.kill()
-process.wait()
+pipe = subprocess.PIPE
+worker._process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=pipe, stdout=pipe)
+worker._process.kill()
+worker._process.wait()
 try:
     list(worker.run([Job("a", "a.vtu", "b.vtu", "staging", 1)] * 10_000))
 except WorkerLost as lost:

@@ -8,7 +8,8 @@ import torch
 
 import torchmesh as tm
 from torchmesh import ImproveOptions, Status, improve, join
-from torchmesh.improving import faults, stages, strategies
+from torchmesh.diagnosing import diagnosis
+from torchmesh.improving import stages, strategies
 from torchmesh.smoothing import boundary_order, sliding
 from torchmesh.untangling import averaging
 
@@ -22,7 +23,7 @@ PLACES = [
     (stages.smoothing, "smooth", {}, "smooth"),
     (stages.smoothing, "smooth", {"boundary": "slide"}, "smooth"),
     (stages.polishing, "polish", {}, "polish"),
-    (faults, "diagnose", {}, "diagnose"),
+    (diagnosis, "diagnose", {}, "diagnose"),
     (strategies, "same_frame", {}, "certify"),
     (strategies, "size_field", {"topology": "full", "remesh": FEW}, "sizes"),
     (strategies, "size_conformity", {"topology": "full", "remesh": FEW}, "sizes"),

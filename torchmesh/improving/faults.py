@@ -10,14 +10,11 @@ A boundary that merely lies over itself is no fault: a strip of more than one tu
 
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
 
-from ..diagnosing.diagnosis import diagnose
-from ..diagnosing.problems import Problem, ProblemKind
-from ..diagnosing.turning import turns_too_little
 from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.connectivity import boundary_edges
 from ..mesh.ragged import segment_any
@@ -25,6 +22,9 @@ from ..status import Status
 from .options import ImproveOptions
 from .runner import Runner, Work
 from .state import State
+
+if TYPE_CHECKING:
+    from ..diagnosing.problems import Problem
 
 # What is said of a tangled mesh that might be mended if its interfaces could move.
 INTERFACES_HELD = "; its interfaces are held where they are: interfaces='free' (--interfaces free) lets them move"
@@ -62,6 +62,8 @@ def taken_back(state: State, run: Runner, at: Tensor) -> State:
 
 def _with_faults(state: State, o: ImproveOptions) -> State:
     """The tangled meshes of `state` with their faults; those that are impossible as a whole have ended."""
+    from ..diagnosing.diagnosis import diagnose
+
     may_change: Literal["keep", "flip"] = "flip" if o.may_flip else "keep"
     found: dict[int, list[Problem]] = {}
     for problem in diagnose(state.mesh, may_change, interfaces=state.origin.interfaces):
@@ -74,8 +76,11 @@ def _with_faults(state: State, o: ImproveOptions) -> State:
     return state.noted(dict.fromkeys(_stuck_by_interfaces(state, impossible, may_change), INTERFACES_HELD))
 
 
-def _proved(mesh: MeshBatch, found: dict[int, list[Problem]]) -> Tensor:
+def _proved(mesh: MeshBatch, found: "dict[int, list[Problem]]") -> Tensor:
     """(B,) bool: the problems of the mesh prove that no valid mesh exists, or the turns of its boundary do."""
+    from ..diagnosing.problems import ProblemKind
+    from ..diagnosing.turning import turns_too_little
+
     proved = torch.zeros(len(mesh), dtype=torch.bool, device=mesh.points.device)
     stay = _edges_that_stay(mesh) if found else set()
     for b, problems in found.items():
@@ -102,7 +107,7 @@ def _edges_that_stay(mesh: MeshBatch) -> set[tuple[int, ...]]:
     return set(map(tuple, edges.sort(1).values.tolist()))
 
 
-def _text(problems: list[Problem]) -> str:
+def _text(problems: "list[Problem]") -> str:
     """The problems of one mesh in words, or ""."""
     more = f"; and {len(problems) - _TOLD} more of the kind" if len(problems) > _TOLD else ""
     return "; ".join(problem.message for problem in problems[:_TOLD]) + more
@@ -110,6 +115,8 @@ def _text(problems: list[Problem]) -> str:
 
 def _stuck_by_interfaces(state: State, hopeless: Tensor, may_change: Literal["keep", "flip"]) -> list[int]:
     """Those of the meshes `hopeless` (B,) bool in which nothing is in the way but interfaces that are held."""
+    from ..diagnosing.diagnosis import diagnose
+
     has = torch.zeros_like(hopeless).index_fill_(0, constraint_owner(state.mesh), True)
     rows = (hopeless & has).nonzero().squeeze(1).tolist()
     if state.origin.interfaces == "free" or not rows:

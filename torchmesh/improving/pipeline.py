@@ -13,7 +13,6 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import interface_vertices, released
 from ..mesh.measure import quality
 from ..mesh.ragged import segment_count
-from ..mesh.regions import RegionAreas, region_areas
 from ..mesh.unfit import on_a_line, unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
 from ..optimising.targets import as_targets, check_fit
@@ -34,6 +33,7 @@ from .stretched import keeping_stretch
 from .travel import travel_of
 
 if TYPE_CHECKING:
+    from ..mesh.regions import RegionAreas
     from ..remeshing.remeshing import RemeshInfo
 
 
@@ -196,14 +196,16 @@ def _tangled_at_interface(b: int, state: State) -> bool:
     return bool(interface_vertices(state.mesh)[inverted].any())
 
 
-def _areas_of_regions(state: State) -> RegionAreas | None:
+def _areas_of_regions(state: State) -> "RegionAreas | None":
     """The areas of the regions before and after, where interfaces were free to move."""
     if state.origin.interfaces != "free" or not len(state.origin.mesh.constrained_edges):
         return None
+    from ..mesh.regions import region_areas
+
     return region_areas(state.given, state.mesh, None if state.names is None else state.names.vertex_map())
 
 
-def _regions_text(b: int, regions: RegionAreas | None) -> str:
+def _regions_text(b: int, regions: "RegionAreas | None") -> str:
     """By how much the regions of mesh `b` have changed."""
     change = torch.zeros(0) if regions is None else 100 * regions.change[regions.mesh == b]
     if len(change) < 2 or bool((change == 0).all()):

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from ..errors import ConvergenceError
 from ..mesh.measure import Quality
-from ..mesh.regions import RegionAreas
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
 
 if TYPE_CHECKING:
+    from ..mesh.regions import RegionAreas
     from ..mesh.vertex_map import VertexMap
     from ..remeshing.remeshing import RemeshInfo
 
@@ -96,7 +96,7 @@ class Report:
     sizes: SizeConformity | None = None
     lost: list[list[str]] = field(default_factory=list)
     travel: Travel | None = None
-    regions: RegionAreas | None = None
+    regions: "RegionAreas | None" = None
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:

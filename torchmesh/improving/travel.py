@@ -12,8 +12,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..mesh.metrics import percentiles
-from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_any, segment_count, spread
+from ..mesh.ragged import (
+    counts_from_offsets,
+    offsets_from_counts,
+    percentiles,
+    segment_any,
+    segment_count,
+    spread,
+)
 from ..optimising.moves import Monitor
 from .report import Travel
 from .runner import Stage, Work

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from . import triangle
 from .batch import MeshBatch
-from .ragged import counts_from_offsets, segment_ids, segment_max, segment_min, segment_sum
+from .ragged import counts_from_offsets, percentiles, segment_max, segment_min, segment_sum
 from .triangle import Corners, corners
 
 __all__ = ["METRICS", "Metric", "Summary", "evaluate", "measure", "percentiles"]
@@ -158,21 +158,6 @@ def evaluate(
             percentiles(values, offsets, percents),
         )
     return summaries
-
-
-def percentiles(values: Tensor, offsets: Tensor, percents: Sequence[float]) -> Tensor:
-    """(N,) values of the segments that `offsets` (B+1,) tells apart to (B, P) percentiles of each, linear between."""
-    order = values.argsort(stable=True)
-    order = order[segment_ids(offsets)[order].argsort(stable=True)]
-    ranked = values[order]
-    parts = torch.tensor(list(percents), dtype=values.dtype, device=values.device) / 100
-    rank = parts * (counts_from_offsets(offsets)[:, None] - 1)
-    below = rank.floor()
-    fraction = rank - below
-    low, high = (offsets[:-1, None] + p.to(torch.int64) for p in (below, rank.ceil()))
-    low, high = ranked[low], ranked[high]
-    # Between equal neighbours nothing is to be weighed; two infinities would give NaN.
-    return torch.where((fraction == 0) | (low == high), low, low + fraction * (high - low).nan_to_num(posinf=torch.inf))
 
 
 def _metric(name: str) -> Metric:

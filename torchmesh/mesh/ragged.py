@@ -7,6 +7,8 @@ Every reduction runs over one mesh's rows in their own order, so its bits do not
 else is in the batch.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -74,3 +76,18 @@ def segment_count(flags: Tensor, offsets: Tensor) -> Tensor:
 def segment_any(flags: Tensor, offsets: Tensor) -> Tensor:
     """(N,) bool rows to (B,) bool: is any of a mesh's rows true."""
     return segment_count(flags, offsets) > 0
+
+
+def percentiles(values: Tensor, offsets: Tensor, percents: Sequence[float]) -> Tensor:
+    """(N,) values of the segments that `offsets` (B+1,) tells apart to (B, P) percentiles of each, linear between."""
+    order = values.argsort(stable=True)
+    order = order[segment_ids(offsets)[order].argsort(stable=True)]
+    ranked = values[order]
+    parts = torch.tensor(list(percents), dtype=values.dtype, device=values.device) / 100
+    rank = parts * (counts_from_offsets(offsets)[:, None] - 1)
+    below = rank.floor()
+    fraction = rank - below
+    low, high = (offsets[:-1, None] + p.to(torch.int64) for p in (below, rank.ceil()))
+    low, high = ranked[low], ranked[high]
+    # Between equal neighbours nothing is to be weighed; two infinities would give NaN.
+    return torch.where((fraction == 0) | (low == high), low, low + fraction * (high - low).nan_to_num(posinf=torch.inf))

@@ -16,11 +16,11 @@ from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, vertex_mesh
 from ..mesh.detached import without_autograd
 from ..mesh.means import means_at_vertices, sums_at_vertices
-from ..mesh.metrics import percentiles
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
     owner_of,
+    percentiles,
     segment_count,
     segment_max,
     segment_sum,
