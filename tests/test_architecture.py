@@ -19,7 +19,7 @@ ALLOWED = {
     "kernels": "errors status",
     "mesh": "kernels errors status",
     "optimising": "mesh kernels errors status",
-    "triangulating": "mesh errors status",
+    "triangulating": "mesh kernels errors status",
     "transferring": "optimising triangulating mesh errors status",
     "files": "transferring mesh errors status",
     "layering": "mesh errors status",

@@ -13,6 +13,9 @@ touch is opposite.  Its twin is the half-edge of the neighbour across the same e
 import torch
 from torch import Tensor
 
+from ..kernels import geometry
+from ..kernels.library import library_for
+
 _INT32 = torch.iinfo(torch.int32).max
 
 
@@ -52,6 +55,8 @@ def twins(triangles: Tensor) -> Tensor:
     `triangles` (T, 3) must be an oriented manifold: each edge in one triangle, or in two that run
     along it in opposite directions.
     """
+    if library_for(triangles) is not None:
+        return geometry.twins(triangles)
     u, v = tails(triangles), heads(triangles)
     low, apart = torch.minimum(u, v), (u - v).abs_()
     size, span = (int(x.max()) + 1 if len(x) else 1 for x in (low, apart))

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
+from ..kernels import geometry
 from ..kernels.library import library_for
 from ..kernels.signs import triangle_signs
 from . import connectivity, triangle
@@ -64,6 +65,8 @@ def _measure(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
     As `signed_area`, `inverse_mean_ratio` and `orientation` have them, to the bit: what they share is computed once.
     """
+    if library_for(points) is not None:
+        return geometry.measured(points.to(torch.float64), triangles)
     t = corners(points.to(torch.float64), triangles)
     abx, aby, acx, acy = t.bx - t.ax, t.by - t.ay, t.cx - t.ax, t.cy - t.ay
     left, right = abx * acy, aby * acx
@@ -92,6 +95,14 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
     return changed.nonzero().squeeze(1)
 
 
+def shapes(batch: MeshBatch) -> tuple[Tensor, Tensor]:
+    """(T,) the smallest unsigned angle in radians, 0 for a flat triangle, and the inverse mean ratio."""
+    if library_for(batch.points) is not None:
+        return geometry.shapes(batch.points.to(torch.float64), batch.triangles)
+    t = corners(batch.points.to(torch.float64), batch.triangles)
+    return triangle.minimum_angle(t), triangle.inverse_mean_ratio(t)
+
+
 def upright(batch: MeshBatch) -> Tensor:
     """(T,) bool: the triangle's area is positive, by exact sign."""
     if library_for(batch.points) is not None:
@@ -110,8 +121,7 @@ def refuse_inverted(batch: MeshBatch, why: str) -> None:
 
 def minimum_angle(batch: MeshBatch) -> Tensor:
     """(B,) smallest unsigned angle of each mesh, in degrees."""
-    angle = triangle.minimum_angle(corners(batch.points.to(torch.float64), batch.triangles))
-    return segment_min(angle, batch.triangle_offsets) * (180 / math.pi)
+    return segment_min(shapes(batch)[0], batch.triangle_offsets) * (180 / math.pi)
 
 
 def signed_minimum_angles(mesh: MeshBatch, quality: Quality) -> np.ndarray:

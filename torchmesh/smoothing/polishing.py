@@ -24,7 +24,7 @@ from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import touching
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
-from ..mesh.measure import Quality, quality
+from ..mesh.measure import Quality, quality, shapes
 from ..mesh.neighbourhoods import surroundings
 from ..mesh.ragged import (
     counts_from_offsets,
@@ -38,7 +38,7 @@ from ..mesh.ragged import (
     spread,
 )
 from ..mesh.submesh import picked, submesh
-from ..mesh.triangle import SQRT3, corners, inverse_mean_ratio
+from ..mesh.triangle import SQRT3, corners
 from .boundary_limits import fan_limits
 from .patches import Patches, every_flip, seeds_of
 from .smoothing import SmoothOptions, smooth
@@ -215,9 +215,8 @@ class _Polishing:
         self.stuck = torch.zeros_like(self.stuck)
         for turn in range(self.options.max_rounds):
             mesh = self.mesh
-            t = corners(mesh.points.to(torch.float64), mesh.triangles)
-            angle, (least, most_ratio) = triangle.minimum_angle(t), self.asked()
-            bad = ((angle < least) | (inverse_mean_ratio(t) > most_ratio)) & ~self.stuck
+            (angle, ratio), (least, most_ratio) = shapes(mesh), self.asked()
+            bad = ((angle < least) | (ratio > most_ratio)) & ~self.stuck
             if not turn:
                 many = segment_count(bad, mesh.triangle_offsets) > most
                 self.stuck |= spread(many, mesh.triangle_offsets)
@@ -278,8 +277,7 @@ class _Worst(NamedTuple):
 
     @classmethod
     def of(cls, batch: MeshBatch, options: PolishOptions) -> "_Worst":
-        t, offsets = corners(batch.points.to(torch.float64), batch.triangles), batch.triangle_offsets
-        angle, ratio = triangle.minimum_angle(t), inverse_mean_ratio(t)
+        (angle, ratio), offsets = shapes(batch), batch.triangle_offsets
         return cls(
             segment_min(angle, offsets),
             segment_max(ratio, offsets),

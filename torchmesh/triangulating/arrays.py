@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..kernels.geometry import row_signs
+from ..kernels.library import library
 from ..mesh.predicates import orientation
 
 # Above three roundings of the products in an orientation, and where none of them underflows.
@@ -16,6 +18,8 @@ _NO_UNDERFLOW = 1e-270
 
 def signs(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """(N,) int8 exact orientation of the rows a, b, c (N,) of `points` (V, 2)."""
+    if library() is not None:
+        return row_signs(points, a, b, c)
     x, y = points[:, 0], points[:, 1]
     rows = ax, ay, bx, by, cx, cy = x[a], y[a], x[b], y[b], x[c], y[c]
     # A tensor operation on a few rows costs more than the sums; most need no more than these.

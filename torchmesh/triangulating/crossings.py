@@ -2,10 +2,15 @@
 
 import numpy as np
 
+from ..kernels import geometry
+from ..kernels.library import library
 from .arrays import signs
 
 # Pairs of segments that are judged at once, which bounds the memory.
 _PAIRS = 100_000
+
+# The compiled sweep gives up after so many pairs, a few hundredths of a second.
+_SWEPT = 5_000_000
 
 # The search in a tree begins with so many segments: their partners tell how many the next ones may be.
 _FIRST_ROWS = 16
@@ -21,6 +26,10 @@ def crossing_pairs(
     """
     if len(segments) < 2:
         return np.zeros((0, 2), np.int64)
+    if library() is not None:
+        known = geometry.crossing_pairs(points, segments, group, _SWEPT)
+        if known is not None:
+            return known
     ends = points[segments]
     low, high = ends.min(1), ends.max(1)
     left, right = (low, high) if group is None else _side_by_side(low, high, group)
@@ -56,6 +65,12 @@ def crossing_pairs(
             if enough is not None and sum(map(len, found)) >= enough:
                 return np.concatenate(found)
     return np.concatenate(found) if found else np.zeros((0, 2), np.int64)
+
+
+def cross_properly(points: np.ndarray, a: int, b: int, c: int, d: int) -> bool:
+    """Whether the segments ab and cd cross in a point that is an end of neither."""
+    of_ends = signs(points, *np.array([[a, b, c], [a, b, d], [c, d, a], [c, d, b]]).T)
+    return bool(of_ends[0] * of_ends[1] < 0 and of_ends[2] * of_ends[3] < 0)
 
 
 def overlapping_boxes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

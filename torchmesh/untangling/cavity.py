@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..triangulating.arrays import Obstacle, among, distinct
-from ..triangulating.crossings import crossing_pairs
+from ..triangulating.crossings import cross_properly, crossing_pairs
 from ..triangulating.placing import place_vertices
 from ..triangulating.polygon import loops_of, why_not_simple
 from ..triangulating.polygon_triangulation import locate, triangulate_polygon, triangulate_with
@@ -49,7 +49,7 @@ class Cavity:
     def filled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | Obstacle:
         """The triangles (T, 3), the points, and which of them moved (V,) bool; or what is in the way."""
         obstacle = why_not_simple(self.points, loops_of(self.boundary))
-        plane = self._touching() if obstacle else None
+        plane = None if obstacle is None else self._touching(obstacle)
         if obstacle and plane is None:
             return obstacle
         spacing, on_boundary = self._spacing()
@@ -91,8 +91,13 @@ class Cavity:
         spacing = np.sqrt(abs(area) / max(len(vertices), 1))
         return vertices[_scattered(self.points[vertices], _CLUSTER * spacing)]
 
-    def _touching(self) -> PlaneBoundary | None:
-        """The boundary as a plane graph, if it does no more than touch itself, in fixed vertices only; else None."""
+    def _touching(self, obstacle: Obstacle) -> PlaneBoundary | None:
+        """The boundary as a plane graph, if it does no more than touch itself, in fixed vertices only; else None.
+
+        obstacle  why it is not simple
+        """
+        if len(obstacle.vertices) == 4 and cross_properly(self.points, *obstacle.vertices):
+            return None
         plane = plane_boundary(self.points, self.boundary)
         if not plane.sound or plane.paired.all() or not self.fixed[plane.touched].all():
             return None

@@ -22,6 +22,7 @@ from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import upright
 from ..optimising.laplacian import harmonic_extension
 from ..triangulating.arrays import Obstacle, among, distinct, signs
+from ..triangulating.crossings import cross_properly, crossing_pairs
 from ..triangulating.polygon import unit_exponent
 from ..triangulating.touching import plane_boundary
 from .cavity import Cavity
@@ -267,7 +268,12 @@ class _Work:
         corners = self.triangles[rows]
         ends = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)[outer]
         ends = ends[among(self._keys(*ends.T), self.boundary)]
-        return len(ends) > 0 and not plane_boundary(self.points, ends).sound
+        pairs = crossing_pairs(self.points, ends)
+        if not len(pairs) and (self.points[ends[:, 0]] != self.points[ends[:, 1]]).any(1).all():
+            return False
+        if len(pairs) and cross_properly(self.points, *ends[pairs[0]].ravel().tolist()):
+            return True
+        return not plane_boundary(self.points, ends).sound
 
     def _made_twice(
         self, rows: np.ndarray, vertices: np.ndarray, corners: np.ndarray, boundary: np.ndarray

@@ -1,0 +1,85 @@
+"""Quality, angles, twins, signs and crossings, compiled, against their twins in torch and numpy: the same bits."""
+
+import numpy as np
+import pytest
+import torch
+from meshes import delaunay, grid, jittered, ring, scrambled
+
+from torchmesh import join
+from torchmesh.kernels import library
+from torchmesh.mesh import connectivity, measure
+from torchmesh.triangulating import arrays, crossings
+
+pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
+
+
+def both(run):
+    results = []
+    for choice in ("torch", "compiled"):
+        with library.using(choice):
+            results.append(run())
+    return results
+
+
+def batches(generator):
+    lattice = grid(9, 8)
+    at = torch.randint(0, 4, lattice.points.shape, generator=generator).to(lattice.points)
+    odd = jittered(cells=2.0, seed=5)
+    points = odd.points.clone()
+    points[10], points[11], points[12] = torch.nan, torch.inf, 1e200
+    return [join([ring(), delaunay(70, seed=1)]), scrambled(delaunay(60, seed=2), seed=3), lattice.with_points(at),
+            jittered(cells=4.0).with_points(1e150 * jittered(cells=4.0).points), odd.with_points(points)]  # fmt: skip
+
+
+def test_quality_has_the_same_bits_and_angles_nearly(generator):
+    for mesh in batches(generator):
+        for (expected, ratio), (got, ratio_2) in [both(lambda m=mesh: measure.shapes(m))]:
+            torch.testing.assert_close(got, expected, rtol=1e-15, atol=1e-300, equal_nan=True)
+            torch.testing.assert_close(ratio_2, ratio, rtol=0, atol=0, equal_nan=True)
+        for run in (lambda m=mesh: (measure.upright(m),),
+                    lambda m=mesh: vars(measure.quality(m)).values()):  # fmt: skip
+            for expected, got in zip(*both(run), strict=True):
+                torch.testing.assert_close(got, expected, rtol=0, atol=0, equal_nan=True)
+
+
+def test_twins_are_the_same(generator):
+    for mesh in batches(generator):
+        order = torch.randperm(len(mesh.triangles), generator=generator)
+        for triangles in (mesh.triangles, mesh.triangles[order].roll(1, 1), mesh.triangles[:7]):
+            expected, got = both(lambda t=triangles: connectivity.twins(t))
+            assert torch.equal(expected, got)
+    assert len(connectivity.twins(torch.zeros((0, 3), dtype=torch.int64))) == 0
+
+
+def test_signs_of_rows_are_the_same(rng):
+    points = np.concatenate(
+        [rng.uniform(-1, 1, (60, 2)), rng.integers(0, 3, (60, 2)) / 2, rng.uniform(0, 1e-160, (9, 2))]
+    )
+    rows = rng.integers(0, len(points), (3, 5000))
+    expected, got = both(lambda: arrays.signs(points, *rows))
+    assert np.array_equal(expected, got)
+    assert len(np.unique(got)) == 3
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_segments_that_meet_are_the_same(rng, share):
+    for lattice in (False, True):
+        points = rng.integers(0, 9, (150, 2)).astype(float) if lattice else rng.uniform(0, 1, (150, 2))
+        start = rng.integers(0, len(points), 200)
+        near = np.argsort(np.linalg.norm(points[start][:, None] - points, axis=2), axis=1)
+        ends = near[np.arange(len(start)), rng.integers(1, max(2, int(share * 150)), len(start))]
+        segments = np.stack([start, ends], 1)
+        for group in (None, rng.integers(0, 3, len(segments))):
+            expected, got = both(lambda s=segments, p=points, g=group: crossings.crossing_pairs(p, s, g))
+            assert np.array_equal(expected, got)
+            assert len(got) > 10
+
+
+def test_a_sweep_over_too_many_pairs_is_left_to_the_tree(rng, monkeypatch):
+    points = rng.uniform(0, 1, (40, 2))
+    segments = rng.permutation(40).reshape(-1, 2)
+    with library.using("torch"):
+        expected = crossings.crossing_pairs(points, segments)
+    monkeypatch.setattr(crossings, "_SWEPT", 3)
+    with library.using("compiled"):
+        assert np.array_equal(crossings.crossing_pairs(points, segments), expected)

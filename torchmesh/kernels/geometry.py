@@ -1,0 +1,71 @@
+"""Quality, angles, twins and segments that meet, compiled.
+
+Each function is the twin, to the bit, of the one that its docstring names; arguments are as there.  Only angles may
+differ in the last bit, since torch does not always round a square root to the nearest number.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .library import ADDRESS, INT64, call, pointer
+
+
+def measured(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(T,) area, inverse mean ratio and uprightness over points (V, 2) float64; `mesh.measure._measure`."""
+    area, ratio = torch.empty((2, len(triangles)), dtype=torch.float64)
+    upright = torch.empty(len(triangles), dtype=torch.bool)
+    _over_triangles("tm_measure", points, triangles, area, ratio, upright)
+    return area, ratio, upright
+
+
+def shapes(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
+    """(T,) `triangle.minimum_angle` and `triangle.inverse_mean_ratio` over points (V, 2) float64."""
+    angle, ratio = torch.empty((2, len(triangles)), dtype=torch.float64)
+    _over_triangles("tm_shapes", points, triangles, angle, ratio)
+    return angle, ratio
+
+
+def twins(triangles: Tensor) -> Tensor:
+    """(3T,) `mesh.connectivity.twins`."""
+    triangles = triangles.contiguous()
+    twin = torch.empty(triangles.numel(), dtype=torch.int64)
+    vertices = int(triangles.max()) + 1 if len(triangles) else 0
+    call("tm_twins", None, ADDRESS(pointer(triangles)), INT64(len(triangles)), INT64(vertices), ADDRESS(pointer(twin)))
+    return twin
+
+
+def row_signs(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """(N,) `triangulating.arrays.signs`, of points (V, 2) float64 and rows (N,)."""
+    points = np.ascontiguousarray(points, np.float64)
+    rows = [np.ascontiguousarray(v, np.int64) for v in (a, b, c)]
+    out = np.empty(len(rows[0]), np.int8)
+    call("tm_row_signs", None, *(ADDRESS(v.ctypes.data) for v in (points, *rows)), INT64(len(out)),
+         ADDRESS(out.ctypes.data))  # fmt: skip
+    return out
+
+
+def crossing_pairs(points: np.ndarray, segments: np.ndarray, group: np.ndarray | None, most: int) -> np.ndarray | None:
+    """(P, 2) `triangulating.crossings.crossing_pairs`; None where more than `most` pairs overlap in x."""
+    points, segments = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(segments, np.int64)
+    group = None if group is None else np.ascontiguousarray(group, np.int64)
+    room = 64
+    while True:
+        out = np.empty((room, 2), np.int64)
+        found = call(
+            "tm_crossing_pairs", INT64, ADDRESS(points.ctypes.data), ADDRESS(segments.ctypes.data),
+            ADDRESS(None if group is None else group.ctypes.data), INT64(len(segments)), INT64(most), INT64(room),
+            ADDRESS(out.ctypes.data),
+        )  # fmt: skip
+        if found < 0:
+            return None
+        if found <= room:
+            return out[:found]
+        room = found
+
+
+def _over_triangles(name: str, points: Tensor, triangles: Tensor, *out: Tensor) -> None:
+    columns = points.contiguous(), triangles.contiguous()
+    call(
+        name, None, *(ADDRESS(pointer(v)) for v in columns), INT64(len(triangles)), *(ADDRESS(pointer(v)) for v in out)
+    )

@@ -1,0 +1,159 @@
+// Loops over triangles, edges and segments: quality, angles, twins, and which segments meet.
+#include "exact.hpp"
+
+namespace torchmesh {
+namespace {
+
+constexpr double SQRT3 = 1.7320508075688772, PI = 3.141592653589793;
+
+struct Corner {
+    double x, y;
+};
+
+TM_INLINE Corner at(const double* points, std::int64_t row) { return {points[2 * row], points[2 * row + 1]}; }
+
+// As `arctangent` in torchmesh/mesh/triangle.py: atan2(y, x) for y >= 0, by halving the angle and a short series.
+TM_INLINE double arctangent(double y, double x) {
+    constexpr int TERMS = 12;
+    double size = std::max(std::abs(x), y);
+    const bool zero = size == 0;
+    size = zero ? 1.0 : size;
+    const double across = y / size, along = zero ? 1.0 : std::abs(x / size);
+    double tangent = across / (along + std::sqrt(across * across + along * along));
+    for (int k = 0; k < 2; ++k) tangent = tangent / (1 + std::sqrt(1 + tangent * tangent));
+    const double square = tangent * tangent;
+    double series = 0;
+    for (int k = TERMS - 1; k >= 0; --k) series = (k % 2 == 0 ? 1.0 : -1.0) / (2 * k + 1) + square * series;
+    const double angle = (8 * tangent) * series;
+    return x < 0 ? PI - angle : angle;
+}
+
+TM_INLINE double angle_at(Corner p, Corner q, Corner r) {
+    const double ux = q.x - p.x, uy = q.y - p.y, vx = r.x - p.x, vy = r.y - p.y;
+    return arctangent(std::abs(ux * vy - uy * vx), ux * vx + uy * vy);
+}
+
+// The sign of the rows a, b, c.
+TM_INLINE int sign(const double* points, std::int64_t a, std::int64_t b, std::int64_t c) {
+    const Corner p = at(points, a), q = at(points, b), r = at(points, c);
+    return orientation(p.x, p.y, q.x, q.y, r.x, r.y);
+}
+
+// Do the segments meet other than in a vertex both have?  Their boxes overlap.
+bool meet(const double* points, const std::int64_t* one, const std::int64_t* two) {
+    const std::int64_t a = one[0], b = one[1], c = two[0], d = two[1];
+    const int shared = (a == c || a == d) + (b == c || b == d);
+    if (shared == 2) return true;
+    if (shared == 0)
+        return sign(points, a, b, c) * sign(points, a, b, d) <= 0 && sign(points, c, d, a) * sign(points, c, d, b) <= 0;
+    // Two edges with one common vertex meet elsewhere only if they run the same way from it.
+    const std::int64_t origin = a == c || a == d ? a : b, p = origin == a ? b : a, q = origin == c ? d : c;
+    const Corner o = at(points, origin), u = at(points, p), v = at(points, q);
+    const bool same_way = sign_of(u.x - o.x) == sign_of(v.x - o.x) && sign_of(u.y - o.y) == sign_of(v.y - o.y);
+    return same_way && sign(points, origin, p, q) == 0;
+}
+
+}  // namespace
+}  // namespace torchmesh
+
+using torchmesh::at;
+
+TM_EXPORT void tm_row_signs(const double* points, const std::int64_t* a, const std::int64_t* b, const std::int64_t* c,
+                            std::int64_t count, std::int8_t* out) {
+    for (std::int64_t i = 0; i < count; ++i) out[i] = std::int8_t(torchmesh::sign(points, a[i], b[i], c[i]));
+}
+
+// Area, inverse mean ratio, and whether upright, of triangles (count, 3).
+TM_EXPORT void tm_measure(const double* points, const std::int64_t* triangles, std::int64_t count, double* area,
+                          double* ratio, std::uint8_t* upright) {
+    using torchmesh::Corner;
+    for (std::int64_t i = 0; i < count; ++i) {
+        const Corner a = at(points, triangles[3 * i]), b = at(points, triangles[3 * i + 1]),
+                     c = at(points, triangles[3 * i + 2]);
+        const double abx = b.x - a.x, aby = b.y - a.y, acx = c.x - a.x, acy = c.y - a.y, bcx = c.x - b.x, bcy = c.y - b.y;
+        area[i] = 0.5 * (abx * acy - aby * acx);
+        const double size = std::abs(area[i]);
+        const double squares = ((abx * abx + aby * aby) + (bcx * bcx + bcy * bcy)) + (acx * acx + acy * acy);
+        ratio[i] = size > 0 ? squares / ((4 * torchmesh::SQRT3) * size) : std::numeric_limits<double>::infinity();
+        upright[i] = torchmesh::orientation(a.x, a.y, b.x, b.y, c.x, c.y) > 0;
+    }
+}
+
+// The smallest unsigned angle of each triangle in radians, 0 for a flat one; and its inverse mean ratio.
+TM_EXPORT void tm_shapes(const double* points, const std::int64_t* triangles, std::int64_t count, double* angle,
+                         double* ratio) {
+    using torchmesh::Corner, torchmesh::angle_at;
+    for (std::int64_t i = 0; i < count; ++i) {
+        const Corner a = at(points, triangles[3 * i]), b = at(points, triangles[3 * i + 1]),
+                     c = at(points, triangles[3 * i + 2]);
+        const double abx = b.x - a.x, aby = b.y - a.y, acx = c.x - a.x, acy = c.y - a.y, bcx = c.x - b.x,
+                     bcy = c.y - b.y, cax = a.x - c.x, cay = a.y - c.y;
+        const double area = 0.5 * (abx * acy - aby * acx), size = std::abs(area);
+        const double squares = ((abx * abx + aby * aby) + (bcx * bcx + bcy * bcy)) + (cax * cax + cay * cay);
+        ratio[i] = size > 0 ? squares / ((4 * torchmesh::SQRT3) * size) : std::numeric_limits<double>::infinity();
+        const double at_a = angle_at(a, b, c), at_b = angle_at(b, c, a), at_c = angle_at(c, a, b);
+        const double least = std::min(at_a, std::min(at_b, at_c));
+        angle[i] = area == 0 ? 0.0 : std::isnan((at_a + at_b) + at_c) ? std::nan("") : least;
+    }
+}
+
+// The twin of each half-edge of triangles (count, 3), -1 on the boundary: the half-edges of each lower end are compared.
+TM_EXPORT void tm_twins(const std::int64_t* triangles, std::int64_t count, std::int64_t vertices, std::int64_t* twin) {
+    const std::int64_t total = 3 * count;
+    std::vector<std::int64_t> start(std::size_t(vertices) + 1, 0), bucket(static_cast<std::size_t>(total));
+    auto tail = [&](std::int64_t h) { return triangles[h]; };
+    auto head = [&](std::int64_t h) { return triangles[h % 3 == 2 ? h - 2 : h + 1]; };
+    for (std::int64_t h = 0; h < total; ++h) ++start[std::min(tail(h), head(h)) + 1];
+    for (std::int64_t v = 0; v < vertices; ++v) start[v + 1] += start[v];
+    std::vector<std::int64_t> next(start.begin(), start.end() - 1);
+    for (std::int64_t h = 0; h < total; ++h) {
+        const std::int64_t low = std::min(tail(h), head(h)), high = std::max(tail(h), head(h));
+        twin[h] = -1;
+        for (std::int64_t k = start[low]; k < next[low]; ++k) {
+            const std::int64_t other = bucket[k];
+            if (std::max(tail(other), head(other)) != high || twin[other] >= 0) continue;
+            twin[h] = other;
+            twin[other] = h;
+            break;
+        }
+        if (twin[h] < 0) bucket[next[low]++] = h;
+    }
+}
+
+// The pairs i < j of `segments` (count, 2) of one group that meet other than in a vertex both have, in order; a line is
+// swept over them.  Returns how many there are, of which `room` at most are written; -1 where more than `most` pairs
+// overlap in x.
+TM_EXPORT std::int64_t tm_crossing_pairs(const double* points, const std::int64_t* segments, const std::int64_t* group,
+                                         std::int64_t count, std::int64_t most, std::int64_t room, std::int64_t* out) {
+    struct Box {
+        double left, right, low, high;
+        std::int64_t row;
+    };
+    std::vector<Box> boxes(static_cast<std::size_t>(count));
+    for (std::int64_t i = 0; i < count; ++i) {
+        const auto p = at(points, segments[2 * i]), q = at(points, segments[2 * i + 1]);
+        boxes[i] = {std::min(p.x, q.x), std::max(p.x, q.x), std::min(p.y, q.y), std::max(p.y, q.y), i};
+    }
+    std::sort(boxes.begin(), boxes.end(), [](const Box& a, const Box& b) {
+        return a.left < b.left || (a.left == b.left && a.row < b.row);
+    });
+    std::vector<std::pair<std::int64_t, std::int64_t>> found;
+    std::int64_t looked = 0;
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        const Box& a = boxes[i];
+        for (std::size_t j = i + 1; j < boxes.size() && boxes[j].left <= a.right; ++j) {
+            const Box& b = boxes[j];
+            if (++looked > most) return -1;
+            if (a.low > b.high || b.low > a.high) continue;
+            if (group && group[a.row] != group[b.row]) continue;
+            const std::int64_t first = std::min(a.row, b.row), second = std::max(a.row, b.row);
+            if (torchmesh::meet(points, segments + 2 * first, segments + 2 * second)) found.emplace_back(first, second);
+        }
+    }
+    std::sort(found.begin(), found.end());
+    for (std::size_t k = 0; k < found.size() && std::int64_t(k) < room; ++k) {
+        out[2 * k] = found[k].first;
+        out[2 * k + 1] = found[k].second;
+    }
+    return std::int64_t(found.size());
+}
