@@ -20,7 +20,7 @@ ALLOWED = {
     "mesh": "kernels errors status",
     "optimising": "mesh kernels errors status",
     "triangulating": "mesh kernels errors status",
-    "transferring": "optimising triangulating mesh errors status",
+    "transferring": "optimising triangulating mesh kernels errors status",
     "files": "transferring mesh errors status",
     "layering": "mesh errors status",
     "flipping": "optimising mesh kernels errors status",

@@ -13,10 +13,15 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from ..kernels.library import library
+from ..kernels.overlaps import shared_areas
 from .pairs import Side, touching_boxes
 
 # Pairs that are clipped at once: their coordinates then stay in the processor's cache.
 _CHUNK = 16384
+
+# The same in compiled loops, which keep nothing; an interrupt waits for one call at most.
+_COMPILED_CHUNK = 1 << 19
 
 # An overlap below this part of the smaller of its triangles is rounding.
 _NOTHING = 1e-13
@@ -67,14 +72,22 @@ def overlaps(before: Side, after: Side, wanted: np.ndarray | None = None, moment
     some = (sizes[0][i] > 0) & (sizes[1][j] > 0)
     i, j = i[some], j[some]
     upright = [_upright_corners(side) for side in (after, before)]
-    starts = range(0, len(i), _CHUNK)
+    chunk = _CHUNK if library() is None else _COMPILED_CHUNK
+    starts = range(0, len(i), chunk)
     if not starts:
         none = np.zeros(0, np.int64)
         return Overlaps(none, none, np.zeros(0), np.zeros((0, 6)) if moments else None)
 
     def clipped(start: int) -> Overlaps:
-        some = slice(start, start + _CHUNK)
-        return _clipped(upright[0], i[some], upright[1], j[some], sizes, moments)
+        some = slice(start, start + chunk)
+        pairs = upright[0], i[some], upright[1], j[some]
+        area, integrals = _clipped(*pairs, moments) if library() is None else shared_areas(*pairs, moments)
+        smaller = np.minimum(sizes[0][i[some]], sizes[1][j[some]])
+        area = np.minimum(area, smaller)
+        shared = area > _NOTHING * smaller
+        return Overlaps(
+            i[some][shared], j[some][shared], area[shared], None if integrals is None else integrals[shared]
+        )
 
     # numpy lets other threads run while it computes.
     with ThreadPoolExecutor(torch.get_num_threads()) as threads:
@@ -97,9 +110,9 @@ def _upright_corners(side: Side) -> np.ndarray:
 
 
 def _clipped(
-    after: np.ndarray, i: np.ndarray, before: np.ndarray, j: np.ndarray, sizes: list[np.ndarray], moments: bool
-) -> Overlaps:
-    """The overlaps of the pairs i, j (P,); `sizes` are the areas of the triangles after and before."""
+    after: np.ndarray, i: np.ndarray, before: np.ndarray, j: np.ndarray, moments: bool
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """The areas (P,) and moments (P, 6) that the pairs i, j (P,) share, where they do."""
     t, s = after.take(i, 1), before.take(j, 1)
     x, y = t[:3], t[3:]
     x -= s[0]
@@ -129,10 +142,7 @@ def _clipped(
         area[rows] = 0.5 * (polygon.ax * polygon.by - polygon.ay * polygon.bx).sum(0)
         if integrals is not None:
             integrals[rows] = _moments(polygon)
-    smaller = np.minimum(sizes[0][i], sizes[1][j])
-    area = np.minimum(area, smaller)
-    shared = area > _NOTHING * smaller
-    return Overlaps(i[shared], j[shared], area[shared], None if integrals is None else integrals[shared])
+    return area, integrals
 
 
 def _cut(polygon: Segments, px: np.ndarray, py: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Segments:
