@@ -122,11 +122,7 @@ def improve(
         draft = improved.draft(target)
         if strict:
             draft.refuse()
-        (read,), quads = given.sources, improved.inverted_quads()
-        columns = {
-            "before": console.record(given.batch, improved.before, (len(read.quads), len(read.inverted_quads()))),
-            "after": console.record(improved.meshes[0], improved.report.quality, (len(read.quads), quads)),
-        }
+        quads, columns = improved.inverted_quads(), _columns(improved)
         document = {
             "torchmesh": console.version(),
             "input": str(source),
@@ -147,14 +143,18 @@ def improve(
         _write(improved, draft, report, document, plot, f"{source.name}: before and after")
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
-        note = improved.report.notes[0]
-        if note and bool(improved.report.valid[0]):  # otherwise the reason, below, says it
-            console.stdout().print(f"found: {note}", markup=False, soft_wrap=True)
-        if improved.report.regions is not None:
-            _print_regions(improved.report.regions)
-        if str(draft.fields):
-            console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
+        _print_notes(improved.report, draft)
     return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0], quads)
+
+
+def _columns(improved: "ImprovedFile") -> dict[str, dict[str, Any]]:
+    """The figures of the mesh before and after."""
+    (read,) = improved.given.sources
+    quads = len(read.quads)
+    return {
+        "before": console.record(improved.given.batch, improved.before, (quads, len(read.inverted_quads()))),
+        "after": console.record(improved.meshes[0], improved.report.quality, (quads, improved.inverted_quads())),
+    }
 
 
 def _outcome(report: "Report", quads: int) -> dict[str, Any]:
@@ -182,6 +182,17 @@ def _in_the_same_plane(path: Path, batch: "MeshBatch") -> "MeshBatch":
     # Where the planes are the same, the coordinates are, to the bit.
     flat = found.points if torch.equal(found.frames, batch.frames) else flat
     return replace(found.with_points(flat), frames=batch.frames)
+
+
+def _print_notes(report: "Report", draft: "SeriesDraft") -> None:
+    """Says what was found in the mesh, how regions have changed, and what became of the fields."""
+    note = report.notes[0]
+    if note and bool(report.valid[0]):  # otherwise the verdict says it
+        console.stdout().print(f"found: {note}", markup=False, soft_wrap=True)
+    if report.regions is not None:
+        _print_regions(report.regions)
+    if str(draft.fields):
+        console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
 
 
 def _print_regions(regions: "RegionAreas") -> None:

@@ -17,7 +17,7 @@ The triangles and constrained edges of a mesh count its vertices from 0, so that
 import contextlib
 import itertools
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,27 +27,13 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError, MeshIOError
-from ..mesh.batch import MeshBatch, constraint_owner
+from ..mesh.batch import MeshBatch
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from .atomic import replacing
-from .messages import about
-
-_FORMAT, _VERSION = "torchmesh meshes", 1
+from .hdf5_layout import FORMAT, SHAPES, TABLES, VERSION, Fields, as_our_errors, checked_fields, tables_of
 
 # Rows in a compressed chunk.  A chunk then has some hundred kilobytes, or a few meshes of the usual size.
 _CHUNK_ROWS = 8192
-
-_TABLES = ("points", "triangles", "constrained_edges")
-
-# The shape of a row of each table, and the kinds of numbers that it may hold, as numpy has them.
-_SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
-    "points": ((2,), "f"),
-    "fixed": ((), "biu"),
-    "triangles": ((3,), "iu"),
-    "constrained_edges": ((2,), "iu"),
-    "frames": ((3, 3), "f"),
-    **{f"{name}_offsets": ((), "iu") for name in _TABLES},
-}
 
 # The greatest factor by which deflate can compress (RFC 1951): what is stated beyond it was never stored.
 _DEFLATE = 1032
@@ -60,8 +46,6 @@ _AT_ONCE, _FACTOR = 1 << 30, 200
 
 # Which meshes of a file: all (None), one by its number, a slice, or numbers in any order.
 Meshes = int | slice | Sequence[int] | None
-
-Fields = Mapping[str, Tensor | Sequence[str]]
 
 
 def save_batch(
@@ -121,9 +105,9 @@ class BatchWriter:
 
         with contextlib.ExitStack() as stack:
             target = stack.enter_context(replacing(self.path))
-            with _as_our_errors(self.path, "cannot be written"):
+            with as_our_errors(self.path, "cannot be written"):
                 self._file = stack.enter_context(h5py.File(target, "w", track_order=True))
-            self._file.attrs["format"], self._file.attrs["version"] = _FORMAT, _VERSION
+            self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
             self._stack = stack.pop_all()
         return self
 
@@ -148,12 +132,12 @@ class BatchWriter:
         All batches have one dtype and fields of the same names.  Raises InvalidMeshError and MeshIOError as
         `save_batch` does.
         """
-        fields = _checked_fields(batch, point_fields or {}, mesh_fields or {})
+        fields = checked_fields(batch, point_fields or {}, mesh_fields or {})
         if self.meshes and set(fields) != self._fields:
             raise InvalidMeshError(f"{self.path}: every batch must have the fields {sorted(self._fields)}")
         self._fields = set(fields)
-        tables, offsets = _tables_of(batch)
-        with _as_our_errors(self.path, "cannot be written"):
+        tables, offsets = tables_of(batch)
+        with as_our_errors(self.path, "cannot be written"):
             for name, ends in offsets.items():
                 dataset = self._file.get(f"{name}_offsets")
                 last = 0 if dataset is None else int(dataset[-1])
@@ -194,42 +178,6 @@ class BatchWriter:
         dataset[start:] = rows
 
 
-def _checked_fields(
-    batch: MeshBatch, point_fields: Mapping[str, Tensor], mesh_fields: Fields
-) -> dict[str, Tensor | Sequence[str]]:
-    """The fields by the names of their datasets.  Raises InvalidMeshError for a bad name or number of rows."""
-    fields: dict[str, Tensor | Sequence[str]] = {}
-    groups = (("point_fields", point_fields, len(batch.points)), ("mesh_fields", mesh_fields, len(batch)))
-    for group, given, count in groups:
-        for name, values in given.items():
-            if "/" in name or not name:
-                raise InvalidMeshError(f"{group}/{name}: a field's name is not empty and has no slash")
-            if len(values) != count:
-                raise InvalidMeshError(f"{group}/{name} must have {count} rows, not {len(values)}")
-            fields[f"{group}/{name}"] = values
-    return fields
-
-
-def _tables_of(batch: MeshBatch) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """The tables of a batch as they are stored, and the offsets (B+1,) of those that have any."""
-    owner = constraint_owner(batch)
-    edges = batch.constrained_edges - batch.point_offsets[owner][:, None]
-    tables = {
-        "points": batch.points,
-        "fixed": batch.fixed,
-        "triangles": batch.triangles - spread(batch.point_offsets[:-1], batch.triangle_offsets)[:, None],
-        # Constrained edges are stored mesh by mesh, whatever their order was.
-        "constrained_edges": edges[torch.argsort(owner, stable=True)],
-        "frames": batch.frames,
-    }
-    offsets = {
-        "points": batch.point_offsets,
-        "triangles": batch.triangle_offsets,
-        "constrained_edges": offsets_from_counts(torch.bincount(owner, minlength=len(batch))),
-    }
-    return tables, offsets
-
-
 class BatchFile:
     """A file that `save_batch` wrote, open for reading parts of it.
 
@@ -241,24 +189,24 @@ class BatchFile:
         import h5py
 
         self.path = Path(path)
-        with _as_our_errors(self.path, "cannot be read"):
+        with as_our_errors(self.path, "cannot be read"):
             self._file = h5py.File(self.path, "r")
-            if self._file.attrs.get("format") != _FORMAT:
+            if self._file.attrs.get("format") != FORMAT:
                 raise MeshIOError(f"{path}: this is HDF5, but no file of torchmesh.save_batch")
-            if self._file.attrs["version"] > _VERSION:
+            if self._file.attrs["version"] > VERSION:
                 raise MeshIOError(f"{path}: written by a newer torchmesh (version {self._file.attrs['version']})")
             missing = [
-                n for n in (*_TABLES, *(f"{t}_offsets" for t in _TABLES), "fixed", "frames") if n not in self._file
+                n for n in (*TABLES, *(f"{t}_offsets" for t in TABLES), "fixed", "frames") if n not in self._file
             ]
             if missing:
                 raise MeshIOError(f"{path}: damaged, it lacks {', '.join(missing)}")
             self._check_shapes()
-            self._offsets = {name: self._ends(name) for name in _TABLES}
+            self._offsets = {name: self._ends(name) for name in TABLES}
 
     def _check_shapes(self) -> None:
         """Raises MeshIOError for a table whose shape or type is not that of its kind; nothing is read for that."""
         meshes, points = self._length("points_offsets") - 1, self._length("points")
-        for name, (shape, kinds) in _SHAPES.items():
+        for name, (shape, kinds) in SHAPES.items():
             table = self._table(name)
             if table.dtype.kind not in kinds or table.shape[1:] != shape:
                 found = f"{table.dtype} {table.shape}"
@@ -267,7 +215,7 @@ class BatchFile:
                 )
         if self._table("points").dtype.itemsize not in (4, 8):
             raise MeshIOError(f"{self.path}: damaged, its points are neither single nor double precision")
-        if len({self._length(f"{name}_offsets") for name in _TABLES} | {self._length("frames") + 1}) > 1:
+        if len({self._length(f"{name}_offsets") for name in TABLES} | {self._length("frames") + 1}) > 1:
             raise MeshIOError(f"{self.path}: damaged, its tables differ in their number of meshes")
         if self._length("fixed") != points:
             raise MeshIOError(f"{self.path}: damaged, 'fixed' and 'points' differ in length")
@@ -330,12 +278,12 @@ class BatchFile:
     def read(self, meshes: Meshes = None) -> MeshBatch:
         """Some of the meshes as one batch; see `load_batch`."""
         rows = self._rows(meshes)
-        with _as_our_errors(self.path, "cannot be read"):
+        with as_our_errors(self.path, "cannot be read"):
             points, fixed = self._gather("points", "points", rows), self._gather("fixed", "points", rows)
             triangles = self._gather("triangles", "triangles", rows).to(torch.int64)
             edges = self._gather("constrained_edges", "constrained_edges", rows).to(torch.int64)
             frames = self._gather("frames", None, rows)
-        ends = {name: self._counted(name, rows) for name in _TABLES}
+        ends = {name: self._counted(name, rows) for name in TABLES}
         count = counts_from_offsets(ends["points"])
         for name, corners in (("triangles", triangles), ("constrained_edges", edges)):
             if bool(((corners < 0) | (corners >= spread(count, ends[name])[:, None])).any()):
@@ -355,7 +303,7 @@ class BatchFile:
         """Point fields and mesh fields of some of the meshes; see `load_fields`."""
         rows = self._rows(meshes)
         out: tuple[dict[str, Tensor], dict[str, Any]] = {}, {}
-        with _as_our_errors(self.path, "cannot be read"):
+        with as_our_errors(self.path, "cannot be read"):
             for group, table, record in zip(("point_fields", "mesh_fields"), ("points", None), out, strict=True):
                 for name in self._names(group):
                     record[name] = self._gather(f"{group}/{name}", table, rows)
@@ -403,17 +351,3 @@ class BatchFile:
                 f"{self.path}: {dataset.name} would swell to {needed:.3g} bytes, so that it may be damaged; "
                 "if not, read fewer meshes at once"
             )
-
-
-@contextlib.contextmanager
-def _as_our_errors(path: Path, what: str) -> Iterator[None]:
-    """Turns what h5py raises for missing, foreign, short and damaged files into a MeshIOError that names the file."""
-    try:
-        yield
-    except (MeshIOError, InvalidMeshError):
-        raise
-    except FileNotFoundError:
-        raise MeshIOError(f"{path}: there is no such file") from None
-    except Exception as error:
-        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
-        raise MeshIOError(about(path, f"{what}; not a file of torchmesh.save_batch, or damaged: {reason}")) from None

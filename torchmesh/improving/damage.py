@@ -23,11 +23,12 @@ from ..optimising.median_metric import median_metric, usual_ratio
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, target_from, target_quality
 from ..status import Status
+from .columns import Edits
 from .faults import end_the_tangled, find_faults
 from .options import Damage, ImproveOptions
 from .parts import Parts, PartsLog, Pasted, paste
 from .runner import Log, Runner
-from .state import Edits, State
+from .state import State
 from .strategies import certify, compare_sizes, improve_batch
 
 

@@ -14,6 +14,14 @@ from ..smoothing.smoothing import SmoothOptions
 from ..untangling.options import UntangleOptions
 
 
+def _check_least(options: object, **least: float) -> None:
+    """Raise ValueError for the first field of `options` that is below the least value named for it, or not a number."""
+    for name, bound in least.items():
+        value = getattr(options, name)
+        if not value >= bound:
+            raise ValueError(f"{type(options).__name__}.{name} must be at least {bound}, not {value}")
+
+
 @dataclass(frozen=True)
 class Rounds:
     """How steps 1 and 2 of Kim 2017 alternate, and when they are stalled.
@@ -39,6 +47,11 @@ class Rounds:
         default_factory=lambda: UntangleOptions(size_sweeps=(100,), max_iterations=60, work=400_000)
     )
     rings_round_faults: int = 2
+
+    def __post_init__(self) -> None:
+        _check_least(self, flip_rounds=0, progress=0, patience=1, paper_patience=1, paper_quiet=1, rings_round_faults=0)
+        if self.progress > 1:
+            raise ValueError(f"Rounds.progress must be at most 1, not {self.progress}")
 
 
 @dataclass(frozen=True)
@@ -66,6 +79,12 @@ class Refining:
     last_steps: int = 150
     coarse: float = 100.0
 
+    def __post_init__(self) -> None:
+        _check_least(
+            self, first_flip_rounds=0, rest=0, little_gain=0, least_gain=0, least_gain_of_maximum=0, sliver=1,
+            last_steps=0, coarse=1,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class LocalRepair:
@@ -87,6 +106,11 @@ class LocalRepair:
     share: float = 0.1
     rings: int = 8
     rings_by_width: float = 0.7
+
+    def __post_init__(self) -> None:
+        _check_least(self, large=0, poor=1, excellent=1, share=0, rings=1, rings_by_width=0)
+        if self.share > 1:
+            raise ValueError(f"LocalRepair.share must be at most 1, the whole mesh, not {self.share}")
 
 
 @dataclass(frozen=True)

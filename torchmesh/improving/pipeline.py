@@ -20,6 +20,7 @@ from ..remeshing.sizing import size_field
 from ..status import Status
 from ..untangling.untangling import check_reference
 from ..warping.femwarp import checked_hold, with_held
+from .columns import Edits
 from .faults import INTERFACES_HELD
 from .forked import can_fork, in_processes, one_thread
 from .layers import keeping_layers
@@ -27,7 +28,7 @@ from .local_repair import on_submeshes
 from .options import ImproveOptions
 from .report import Progress, Report, left_over
 from .runner import Job, Log
-from .state import Edits, State, what_failed
+from .state import State, what_failed
 from .strategies import improve_batch
 from .stretched import keeping_stretch
 from .travel import travel_of

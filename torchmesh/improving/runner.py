@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch, put
+from ..mesh.ragged import counts_from_offsets
 from ..optimising.moves import Monitor
 from .report import Progress, Step
 from .state import State, what_failed
@@ -125,10 +126,10 @@ class Log:
 
         Once their vertices or triangles have come and gone, the observer is shown these meshes alone.
         """
-        part = whole.select(at)
 
         def pasted(mesh: MeshBatch) -> MeshBatch:
-            same = len(mesh.points) == len(part.points) and len(mesh.triangles) == len(part.triangles)
+            rows = ((mesh.points, whole.point_offsets), (mesh.triangles, whole.triangle_offsets))
+            same = all(len(now) == int(counts_from_offsets(offsets)[at].sum()) for now, offsets in rows)
             return put(whole, at, mesh) if same else mesh
 
         return self.view(at.nonzero().squeeze(1), pasted)

@@ -32,8 +32,9 @@ from ..smoothing.smoothing import SmoothOptions
 from ..untangling import untangling
 from ..untangling.options import UntangleOptions
 from ..warping.femwarp import femwarp
+from .columns import Edits
 from .runner import Stage, Work
-from .state import Edits, State
+from .state import State
 
 if TYPE_CHECKING:
     from ..untangling.averaging import AverageOptions

@@ -9,7 +9,7 @@ the rows of some meshes are taken out of it when a stage asks for them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -27,12 +27,10 @@ from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, as_targets, narrow
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
+from .columns import Edits, put_conformity, put_quality, put_rows, select_conformity, select_quality
 from .options import ImproveOptions
 
 _T = TypeVar("_T")
-
-# The columns of `Quality` that have a row a triangle; the others have one a mesh.
-_OF_TRIANGLES = ("area", "inverse_mean_ratio", "upright")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,32 +58,6 @@ class Given:
     def widths(self) -> Tensor:
         """(V,) how wide the mesh is at each vertex, the mean length of its edges there."""
         return local_widths(self.mesh)
-
-
-@dataclass(frozen=True, eq=False)
-class Edits:
-    """Numbers of vertices and edges that came, went and flipped under topology "full", (B,) int64 each."""
-
-    splits: Tensor
-    collapses: Tensor
-    flips: Tensor
-    rounds: Tensor
-
-    @classmethod
-    def none(cls, like: Tensor) -> "Edits":
-        return cls(*(torch.zeros_like(like) for _ in range(4)))
-
-    def select(self, at: Tensor) -> "Edits":
-        """Those of the meshes `at` (B,) bool."""
-        return Edits(*(getattr(self, f.name)[at] for f in fields(self)))
-
-    def plus(self, more: "Edits") -> "Edits":
-        """These and `more` of the same meshes."""
-        return Edits(*(getattr(self, f.name) + getattr(more, f.name) for f in fields(self)))
-
-    def put(self, at: Tensor, part: "Edits") -> "Edits":
-        """These, with those of the meshes `at` (B,) bool replaced by `part`."""
-        return Edits(*(_put_rows(getattr(self, f.name), at, getattr(part, f.name)) for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +280,7 @@ class State:
             mesh=self.mesh.select(at),
             origin=self.origin,
             meshes=self.meshes[at],
-            quality=_select_quality(self.quality, at, spread(at, self.mesh.triangle_offsets)),
+            quality=select_quality(self.quality, at, spread(at, self.mesh.triangle_offsets)),
             status=self.status[at],
             reasons=tuple(self.reasons[b] for b in chosen),
             faults=tuple(self.faults[b] for b in chosen),
@@ -323,7 +295,7 @@ class State:
             held=by_vertex(self.held),
             lively=by_vertex(self.lively),
             sizes=by_vertex(self.sizes),
-            conformity=None if self.conformity is None else _select_columns(self.conformity, at),
+            conformity=select_conformity(self.conformity, at),
             names=None if self.names is None else self.names.select(rows),
             edits=None if self.edits is None else self.edits.select(at),
             failures=tuple(self.failures[b] for b in chosen),
@@ -350,11 +322,11 @@ class State:
         sizes = self.sizes
         if part.sizes is not None:
             sizes = part.sizes.new_full((len(self.mesh.points),), torch.nan) if sizes is None else sizes
-            sizes = _put_rows(sizes, spread(at, self.mesh.point_offsets), part.sizes)
+            sizes = put_rows(sizes, spread(at, self.mesh.point_offsets), part.sizes)
         return replace(
             whole,
             mesh=put(self.mesh, at, part.mesh),
-            quality=_put_quality(self.quality, at, triangles, part.quality),
+            quality=put_quality(self.quality, at, triangles, part.quality),
             curves=self.curves if self.curves is None or part.curves is None else self.curves.put(at, part.curves),
             sizes=sizes,
         )
@@ -368,10 +340,10 @@ class State:
 
         return replace(
             self,
-            status=_put_rows(self.status, at, part.status),
-            certified=_put_rows(self.certified, at, part.certified),
-            conformity=_put_conformity(self, at, part),
-            impossible=_put_rows(self.impossible, at, part.impossible),
+            status=put_rows(self.status, at, part.status),
+            certified=put_rows(self.certified, at, part.certified),
+            conformity=put_conformity(self.conformity, at, part.conformity),
+            impossible=put_rows(self.impossible, at, part.impossible),
             reasons=mixed(self.reasons, part.reasons),
             faults=mixed(self.faults, part.faults),
             notes=mixed(self.notes, part.notes),
@@ -401,34 +373,6 @@ class State:
             averaged=None,
             lively=None,
         )
-
-
-def _put_rows(values: Tensor, at: Tensor, part: Tensor) -> Tensor:
-    """`values` (N, ...) with the rows `at` (N,) bool replaced by `part`."""
-    return values.index_copy(0, at.nonzero().squeeze(1), part)
-
-
-def _select_quality(q: Quality, at: Tensor, triangles: Tensor) -> Quality:
-    rows = triangles.nonzero().squeeze(1)
-    columns = {f.name: getattr(q, f.name) for f in fields(q)}
-    return Quality(**{n: v.index_select(0, rows) if n in _OF_TRIANGLES else v[at] for n, v in columns.items()})
-
-
-def _put_quality(q: Quality, at: Tensor, triangles: Tensor, part: Quality) -> Quality:
-    masks = {f.name: triangles if f.name in _OF_TRIANGLES else at for f in fields(q)}
-    return Quality(**{name: _put_rows(getattr(q, name), mask, getattr(part, name)) for name, mask in masks.items()})
-
-
-def _select_columns(found: SizeConformity, at: Tensor) -> SizeConformity:
-    return SizeConformity(*(getattr(found, f.name)[at] for f in fields(found)))
-
-
-def _put_conformity(state: State, at: Tensor, part: State) -> SizeConformity | None:
-    if part.conformity is None:
-        return state.conformity
-    nothing = torch.full_like(state.quality.mean, torch.nan)
-    old = state.conformity or SizeConformity(*(nothing for _ in fields(SizeConformity)))
-    return SizeConformity(*(_put_rows(getattr(old, f.name), at, getattr(part.conformity, f.name)) for f in fields(old)))
 
 
 def what_failed(error: Exception) -> str:

@@ -83,10 +83,12 @@ def clean(
     if not log.changed:
         log.lines.append(NOTHING)
     work.tell_what_there_is(log)
-    arrays = given[stays], new_row[work.tri], None if quads is None else new_row[work.quad]
-    if isinstance(points, torch.Tensor):
-        arrays = tuple(None if a is None else torch.from_numpy(a).to(points.device) for a in arrays)  # type: ignore[assignment]
-    return *arrays, log
+
+    def as_given(array: np.ndarray) -> Any:
+        return torch.from_numpy(array).to(points.device) if isinstance(points, torch.Tensor) else array
+
+    left = None if quads is None else as_given(new_row[work.quad])
+    return as_given(given[stays]), as_given(new_row[work.tri]), left, log
 
 
 def _corners(vertices: int, *faces: np.ndarray) -> np.ndarray:
