@@ -111,8 +111,26 @@ def _of_one(mesh: MeshBatch, keep: bool, most: int) -> list[Finding]:
     if any(f.kind is ProblemKind.VERTEX_OUTSIDE and flat.doubled[f.vertices[0]] for f in left):
         # Where stretches of boundary lie on each other, no domain is on both sides: they are told.
         return found
+    left = _overlapping(left, walls, keep)
     told = [finding for finding in left if finding.kind is not ProblemKind.NOT_PLANE]
     return told or _first(wrong_touchings(walls, boundary), most) or left
+
+
+def _overlapping(found: list[Finding], walls: Walls, keep: bool) -> list[Finding]:
+    """What was `found` of a boundary that was parted where it touches itself.
+
+    A hole that lies wrongly may be a piece of a loop that is sound as a whole: rounding has laid the sides of a crack
+    over each other.  There the boundary lies over itself, and a valid mesh may do so, too.
+    """
+    holes = (ProblemKind.HOLE_INSIDE_OUT, ProblemKind.HOLE_OUTSIDE)
+    if not any(f.kind in holes for f in found) or any(f.kind in holes for f in nestings(walls, keep)):
+        return found
+    return [
+        Finding(ProblemKind.BOUNDARY_CROSSING, f"the boundary lies over itself at {text_of(f.place)}", *f[2:])
+        if f.kind in holes
+        else f
+        for f in found
+    ]
 
 
 def _meetings(walls: Walls, keep: bool, most: int) -> list[Finding]:

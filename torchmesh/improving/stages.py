@@ -76,6 +76,13 @@ def regularised(options: UntangleOptions) -> Stage:
     return stage
 
 
+def gather() -> Stage:
+    """Brings free vertices that lie far outside to the edge of their mesh."""
+    from ..untangling.gathering import gathered
+
+    return lambda state, monitor: (state.at(gathered(state.mesh)), Work.done(state))
+
+
 def average() -> Stage:
     """Moves the vertices of scrambled interiors to the means of their neighbours."""
     from ..untangling import averaging

@@ -33,6 +33,7 @@ from ..remeshing.sizing import SizeConformity, size_conformity, size_field
 from ..smoothing.polishing import bad_triangles
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
+from ..untangling.gathering import gathered
 from ..untangling.options import UntangleOptions
 from .faults import end_the_tangled, find_faults, taken_back
 from .options import ImproveOptions
@@ -41,6 +42,7 @@ from .stages import (
     attempt,
     average,
     flip,
+    gather,
     polish,
     regularised,
     relocate,
@@ -115,6 +117,8 @@ def paper(state: State, run: Runner, o: ImproveOptions) -> State:
 
 def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State:
     """FEMWARP from the reference, then neighbours' means: scrambled interiors need no more."""
+    strays = segment_any((gathered(state.mesh).points != state.mesh.points).any(1), state.mesh.point_offsets)
+    state, _ = run("gather", gather(), state, state.tangled & strays)
     if o.reference is not None:
         state, _ = run("femwarp", attempt(warp(), _given), state, state.tangled)
     if bool(state.tangled.any()):
@@ -161,7 +165,7 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
 
 
 def _given(state: State) -> MeshBatch:
-    return state.given
+    return gathered(state.given)
 
 
 def _averaged(state: State) -> MeshBatch:
