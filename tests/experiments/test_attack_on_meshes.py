@@ -27,6 +27,22 @@ def test_the_first_trials_of_each_kind_find_no_fault(kind):
     assert [trial for trial in found if trial[1] and not trial[1].endswith(" s")] == []
 
 
+# What an hour of the attack found once, with what was wrong.
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        ("cracks", 9),  # sides that rounding had laid over each other were called a hole inside out
+        ("cracks", 19),
+        ("needles", 19),  # their own metric was not positive definite
+        ("strips over themselves", 5),  # vertices a million extents away were left there
+        ("strips over themselves", 20),
+    ],
+)
+def test_former_faults_are_none(kind, number):
+    name, fault = meshes.examine(2811, kind, number)
+    assert fault == "", name
+
+
 @pytest.mark.parametrize("kind", list(DOMAINS))
 def test_domains_are_valid_meshes_and_the_same_for_a_seed(kind):
     made = some(kind, 10)

@@ -76,3 +76,12 @@ def test_an_observer_sees_the_meshes_that_change_their_number_of_vertices():
     assert {"initial", "smooth", "remesh"} <= {stage for stage, _ in seen}
     assert all(len(mesh) in (1, 2) for _, mesh in seen)
     assert len(after) == 2
+
+
+def test_needles_too_thin_for_a_metric_have_no_shapes_to_keep():
+    thin = stretched(jittered(6, 5, cells=0.1), 1e9, 90.0)
+    assert bool((thin.points.isfinite()).all())
+    _, report = improve(join([thin, ring()]), ImproveOptions(topology="full"))
+    assert report.valid.all()
+    assert not found(thin)
+    assert found(stretched(jittered(6, 5, cells=0.1), 1e4, 90.0))

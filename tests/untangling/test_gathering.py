@@ -45,7 +45,7 @@ def test_a_strip_over_itself_is_mended_from_far_away():
     strip = flat.with_points(torch.stack([-radius * angle.cos(), radius * angle.sin()], 1))
     away = torch.where(strip.fixed[:, None], strip.points, 1e8 * strip.points.flip(1))
     for topology in ("flip", "keep"):
-        mesh, report = improve(strip.with_points(away), ImproveOptions(topology=topology))
+        _, report = improve(strip.with_points(away), ImproveOptions(topology=topology))
         assert report.valid.all()
         assert [s.stage for s in report.steps[0]][1] == "gather"
     assert Status(int(report.status)) == Status.SETTLED

@@ -28,11 +28,14 @@ class StretchOptions:
     aspect  how many times as long as wide triangles are: the root of the ratio of the metric's eigenvalues
     share   this part of the vertices of a mesh, and of its triangles, is stretched at least so much
     sweeps  how often the metric is averaged over neighbours first
+    thin    a mesh with a triangle of a higher inverse mean ratio has no shapes to keep: in double precision the metric
+            of such a triangle is no longer positive definite for certain
     """
 
     aspect: float = 2.0
     share: float = 0.9
     sweeps: int = 2
+    thin: float = 1e6
 
     @property
     def ratio(self) -> float:
@@ -68,7 +71,7 @@ def own_metric(state: State, limits: StretchOptions) -> tuple[Tensor, Tensor] | 
     """(V, 3) the metric of the meshes, and (B,) bool which are stretched throughout; None if none is."""
     offsets = state.mesh.triangle_offsets
     long = segment_count(state.quality.inverse_mean_ratio >= limits.ratio, offsets)
-    at = state.valid & (long >= limits.share * counts_from_offsets(offsets))
+    at = state.valid & (state.quality.max <= limits.thin) & (long >= limits.share * counts_from_offsets(offsets))
     if not bool(at.any()):
         return None
     # Only these meshes are valid for certain.
