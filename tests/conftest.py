@@ -1,4 +1,4 @@
-"""Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock; which modules are slow."""
+"""Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock; which tests are slow."""
 
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -13,27 +13,10 @@ from torchmesh.kernels import library
 
 torch.set_num_threads(1)
 
-# Modules that `make test-fast` leaves out as a whole: they start many processes, run programs, or work on many meshes.
-# Single slow tests of other modules are marked where they stand.
-SLOW = (
-    "batches/test_crew.py",
-    "batches/test_local_worker.py",
-    "batches/test_ray_worker.py",
-    "batches/test_runs.py",
-    "commands/test_reproduce.py",
-    "improving/test_extremes.py",
-    "learning/test_datasets.py",
-    "learning/test_domains.py",
-    "learning/test_nn.py",
-    "pictures/test_films.py",
-    "pictures/test_page_in_browser.py",
-    "pictures/test_pictures.py",
-    "test_docs.py",
-    "test_interrupts.py",
-    "test_readme.py",
-)
 FOLDER = Path(__file__).parent
 
+# What `make test-fast` leaves out: modules, and tests as "module::name".
+SLOW = {line for line in (FOLDER / "slow.txt").read_text().splitlines() if not line.startswith("#")}
 
 # Modules and folders whose tests run twice: by the compiled loops, and by torch alone.
 BOTH_WAYS = (
@@ -64,8 +47,15 @@ def loops(request: pytest.FixtureRequest) -> Iterator[None]:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.is_relative_to(FOLDER) and item.path.relative_to(FOLDER).as_posix() in SLOW:
+        if not {_module(item), f"{_module(item)}::{getattr(item, 'originalname', item.name)}"}.isdisjoint(SLOW):
             item.add_marker(pytest.mark.slow)
+    # Slow modules come first: at the end, when a worker takes tests over from another, there are many short ones.
+    items.sort(key=lambda item: _module(item) not in SLOW)
+
+
+def _module(item: pytest.Item) -> str:
+    """The path of its file below this folder."""
+    return item.path.relative_to(FOLDER).as_posix() if item.path.is_relative_to(FOLDER) else ""
 
 
 # Deadlines measure the machine, not the code; the same examples every run, so that a failure stays.

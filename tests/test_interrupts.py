@@ -36,8 +36,12 @@ def interrupted_at(tmp_path, name: str, times: int, *arguments: str, **options) 
     return child.returncode, err
 
 
-@pytest.mark.parametrize("name", ["typer", "torch", "numpy", "torch._C", "meshio", "torchmesh.files"])
-@pytest.mark.parametrize("times", [1, 2])
+# The last two are imported when torch is there, which takes seconds.
+IMPORTS = [(name, times) for name in ("typer", "torch", "numpy", "torch._C") for times in (1, 2)]
+IMPORTS += [("meshio", 1), ("torchmesh.files", 2)]
+
+
+@pytest.mark.parametrize(("name", "times"), IMPORTS)
 def test_an_interrupt_during_an_import_is_one_line(tmp_path, name, times):
     """Twice in a row is how `timeout -s INT` sends it."""
     write(tmp_path / "a.vtu", meshes.jittered())

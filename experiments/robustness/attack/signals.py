@@ -49,14 +49,14 @@ class Attack:
     seconds: dict[str, float] = field(default_factory=dict)
     results: dict[str, tm.MeshBatch] = field(default_factory=dict)
 
-    def arguments(self, kind: str, out: Path) -> list[str]:
-        """The arguments of a command whose files go to the folder `out`."""
+    def arguments(self, kind: str, out: Path, workers: int = 1) -> list[str]:
+        """The arguments of a command whose files go to the folder `out`; a batch has so many `workers`."""
         mesh = str(self.folder / "in" / "0.vtu")
         return {
             "improve": ["improve", mesh, str(out / "b.vtu"), "--report", str(out / "r.json"), "-q"],
             "quality": ["quality", mesh, "--json"],
             "clean": ["clean", mesh, str(out / "c.vtu")],
-            "batch": ["batch", str(self.folder / "in"), "--out", str(out / "done"), "--workers", "2"],
+            "batch": ["batch", str(self.folder / "in"), "--out", str(out / "done"), "--workers", str(workers)],
         }[kind]
 
     def prepare(self, kinds: Iterable[str]) -> None:
@@ -89,7 +89,9 @@ class Attack:
         """A batch that is interrupted once or several times, and then ends what it began."""
         for _ in range(rng.choice((1, 1, 2, 4))):
             sent = rng.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGKILL))
-            status, said = _run(self.arguments("batch", out), [(rng.uniform(0, self.seconds["batch"]), sent)])
+            status, said = _run(
+                self.arguments("batch", out, workers=2), [(rng.uniform(0, self.seconds["batch"]), sent)]
+            )
             fault = _told(status, said) if sent == signal.SIGINT else ""
             if fault:
                 return fault
