@@ -1,16 +1,22 @@
 """Gmsh files: groups, numbers and foreign sections survive a change of the mesh; Gmsh itself is the judge."""
 
+import contextlib
 import warnings
 from pathlib import Path
 
+import meshes
 import meshio
 import numpy as np
 import pytest
 import torch
 from file_contents import SU2, grid, grid_arrays, load, moved, rebuilt, save, triangle_data, warned
 
+import torchmesh as tm
+from torchmesh.batches.file_improvement import improve_series, open_mesh
 from torchmesh.errors import MeshIOError, MeshWarning
+from torchmesh.files.formats import gmsh_new, gmsh_write
 from torchmesh.files.mesh_files import held, read, write
+from torchmesh.files.source import Source
 
 
 @pytest.fixture(scope="module")
@@ -208,3 +214,57 @@ def test_nodes_that_are_paired_are_held(tmp_path, version):
     assert after[:4].all()
     assert not before[1]
     assert int(after.sum()) == int(before.sum()) + int((~before[:4]).sum())
+
+
+def text_file(path: Path, points: np.ndarray, triangles: np.ndarray) -> Path:
+    """A file of version 2.2 without fields; nodes and elements are numbered from 1."""
+    content = meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("triangle", triangles)])
+    gmsh_write.write(path, *gmsh_new.new_file(content, "2.2", False, None))
+    return path
+
+
+def data_section(kind: str, name: str, rows: np.ndarray, time: float = 0.0, step: int = 0) -> str:
+    """A data section as text; `rows` (n, 2) are numbers of nodes or elements and their values."""
+    lines = "".join(f"{int(number)} {float(value)!r}\n" for number, value in rows)
+    return f'${kind}\n1\n"{name}"\n1\n{time}\n3\n{step}\n1\n{len(rows)}\n{lines}$End{kind}\n'
+
+
+@pytest.mark.parametrize("topology", ["keep", "flip"])
+def test_fields_of_every_step_are_interpolated(tmp_path, topology):
+    """Linear fields at nodes stay exact in each of their steps, with their times; integrals of cell fields are kept."""
+    mesh, out = meshes.jittered(7, 6, 0.3, 3), tmp_path / "b.msh"
+    path = text_file(tmp_path / "a.msh", mesh.points.numpy(), mesh.triangles.numpy())
+    nodes = np.arange(1, len(mesh.points) + 1)
+    x, y = mesh.points.numpy().T
+    cells = np.random.default_rng(0).uniform(1, 2, len(mesh.triangles))
+    more = data_section("NodeData", "u", np.stack([nodes, x], 1), 0.5, 1)
+    more += data_section("NodeData", "u", np.stack([nodes, 2 * y - x], 1), 1.5, 2)
+    more += data_section("ElementData", "c", np.stack([1 + np.arange(len(cells)), cells], 1), 0.25, 7)
+    corners = "".join(f"{1 + row} 3 1 2 3\n" for row in range(len(cells)))
+    more += f'$ElementNodeData\n1\n"e"\n1\n0\n3\n0\n1\n{len(cells)}\n{corners}$EndElementNodeData\n'
+    path.write_bytes(path.read_bytes() + more.encode())
+    (improved,) = improve_series([open_mesh(path)], tm.ImproveOptions(topology=topology))
+    flips = int(improved.report.flipped[0]) > 0
+    assert flips is (topology == "flip")
+    with pytest.warns(tm.MeshWarning, match="ElementNodeData") if flips else contextlib.nullcontext():
+        improved.write(out)
+    after = Source.open(out)
+    points = after.mesh.points.numpy()
+    assert np.abs(points - mesh.points.numpy()).max() > 0.01
+    found = after.document.mesh
+    np.testing.assert_allclose(found.point_data["u"], points[:, 0], atol=1e-14)
+    np.testing.assert_allclose(found.point_data["u:2"], 2 * points[:, 1] - points[:, 0], atol=1e-14)
+    areas = [tm.quality(m).area.numpy() for m in (mesh, after.mesh)]
+    assert found.cell_data["c"][0] @ areas[1] == pytest.approx(cells @ areas[0], rel=1e-12)
+    written = out.read_text()
+    for line in ('"u"\n1\n0.5\n3\n1\n', '"u"\n1\n1.5\n3\n2\n', '"c"\n1\n0.25\n3\n7\n'):
+        assert line in written
+    assert ("$ElementNodeData" in written) is not flips
+
+
+def test_times_that_a_new_file_does_not_state_are_named(tmp_path):
+    path = text_file(tmp_path / "a.msh", *meshes.grid_arrays(2, 2))
+    rows = np.stack([1 + np.arange(9), np.arange(9.0)], 1)
+    path.write_text(path.read_text() + data_section("NodeData", "u", rows, 0.5) + data_section("NodeData", "v", rows))
+    with pytest.warns(tm.MeshWarning, match=r"not carried over .*: times and steps of 'u'$"):
+        tm.write(tmp_path / "b.vtu", tm.read(path), like=path)

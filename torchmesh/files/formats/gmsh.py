@@ -20,6 +20,7 @@ import numpy as np
 from ..fields import REGION_TAGS, region_tag
 from . import gmsh_read, gmsh_write
 from .format import ALL_BUT_POLYGONS, Document, Format
+from .gmsh_file import DATA_SECTIONS, data_head, data_name
 from .gmsh_new import new_file
 
 # The sections that are parsed and built anew.
@@ -33,7 +34,11 @@ class GmshFormat(Format):
         if file is None:
             return Document(mesh, self.name)
         tied = gmsh_read.paired_nodes(file)
-        return Document(mesh, self.name, file.binary, file, repeats_triangles=file.version == "2.2", tied=tied)
+        corners = any(name == "ElementNodeData" for name, _ in file.sections)
+        return Document(
+            mesh, self.name, file.binary, file, repeats_triangles=file.version == "2.2", tied=tied,
+            by_element=("$ElementNodeData",) if corners else (),
+        )  # fmt: skip
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         file = like.rest if like is not None else None
@@ -55,7 +60,19 @@ class GmshFormat(Format):
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
         if document.rest is None or (target is self and same_rows):
             return []
-        return [f"${name}" for name, _ in document.rest.sections if name not in _KNOWN]
+        sections = document.rest.sections
+        timed = [
+            f"times and steps of {data_name(payload)!r}"
+            for name, payload in sections
+            if name in DATA_SECTIONS and _is_timed(payload)
+        ]
+        return [*(f"${name}" for name, _ in sections if name not in _KNOWN), *dict.fromkeys(timed)]
+
+
+def _is_timed(payload: bytes) -> bool:
+    """Does a data section state another time, or another number of its step, than 0?"""
+    _, (_, times, numbers) = data_head(payload)
+    return any(float(word) != 0 for word in [*times, *numbers[:1]])
 
 
 def _version(mesh: meshio.Mesh) -> str:

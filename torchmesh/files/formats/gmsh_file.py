@@ -1,6 +1,7 @@
 """A Gmsh file as the list of its sections, with the tables of nodes and elements parsed."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,6 +79,30 @@ class MshFile:
         text = dict(self.sections).get("PhysicalNames", b"0").decode(errors="replace")
         found = re.findall(r'^\s*(\d+)\s+(-?\d+)\s+"(.*)"', text, re.M)
         return [(int(dim), int(tag), name) for dim, tag, name in found]
+
+
+def labelled(sections: list[tuple[str, bytes]]) -> Iterator[tuple[str, bytes, str]]:
+    """The sections with labels: for data the name of the field, with the number of its step from the second one on.
+
+    A field of several steps has as many sections of one name.  Other sections have the label "".
+    """
+    seen: dict[tuple[str, str], int] = {}
+    for section, payload in sections:
+        label = data_name(payload) if section in DATA_SECTIONS else ""
+        if label:
+            step = seen[section, label] = seen.get((section, label), 0) + 1
+            label = label if step == 1 else f"{label}:{step}"
+        yield section, payload, label
+
+
+def data_head(payload: bytes) -> tuple[bytes, list[list[bytes]]]:
+    """What stands before the values of a data section: the bytes, and the lines of its texts, times and numbers."""
+    rest, groups = payload, []
+    for _ in range(3):
+        count, rest = rest.split(b"\n", 1)
+        *lines, rest = rest.split(b"\n", int(count))
+        groups.append(lines)
+    return payload[: len(payload) - len(rest)], groups
 
 
 def data_name(payload: bytes) -> str:

@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 
 from ..swelling import check_swelling
-from .gmsh_file import KINDS, TAGS, Elements, MshFile, Nodes, data_name
+from .gmsh_file import KINDS, TAGS, Elements, MshFile, Nodes, data_head, labelled
 
 
 class _Numbers:
@@ -60,7 +60,7 @@ def read(path: Path) -> tuple[meshio.Mesh, MshFile | None]:
             raise ValueError(f"it has no ${name}")
     old = version.startswith("2")
     nodes = (_nodes_22 if old else _nodes_41)(named["Nodes"], binary, size)
-    row_of = _RowOf(np.concatenate([b.numbers for b in nodes]) if nodes else np.zeros(0, np.int64), "node")
+    row_of = RowOf(np.concatenate([b.numbers for b in nodes]) if nodes else np.zeros(0, np.int64), "node")
     raw = (_elements_22 if old else _elements_41)(named["Elements"], binary, size)
     elements = [replace(block, rows=row_of(block.rows)) for block in raw]
     file = MshFile("2.2" if old else "4.1", binary, size, sections, nodes, elements)
@@ -153,7 +153,7 @@ def _elements_22(payload: bytes, binary: bool, _: int) -> list[Elements]:
     return [Elements(kind, 0, t[:, 0], t[:, 1 : 1 + tags], t[:, 1 + tags :]) for kind, tags, t in runs]
 
 
-class _RowOf:
+class RowOf:
     """Finds the rows of nodes or elements by Gmsh's numbers.
 
     what  "node" or "element", for the error
@@ -188,7 +188,7 @@ def entity_groups(file: MshFile) -> dict[tuple[int, int], list[int]]:
     return groups
 
 
-def _to_mesh(file: MshFile, row_of: _RowOf) -> meshio.Mesh:
+def _to_mesh(file: MshFile, row_of: RowOf) -> meshio.Mesh:
     cell_data = dict(zip(TAGS, _tags(file), strict=True))
     if not any(values.any() for values in cell_data[TAGS[0]]):
         del cell_data[TAGS[0]]
@@ -196,13 +196,13 @@ def _to_mesh(file: MshFile, row_of: _RowOf) -> meshio.Mesh:
     point_data: dict[str, np.ndarray] = {}
     cells = [(KINDS[b.kind][0], b.rows) for b in file.elements]
     ends = np.cumsum([len(b.rows) for b in file.elements])[:-1]
-    element_of = _RowOf(np.concatenate([b.numbers for b in file.elements] or [np.zeros(0, np.int64)]), "element")
-    for section, payload in file.sections:
+    element_of = RowOf(np.concatenate([b.numbers for b in file.elements] or [np.zeros(0, np.int64)]), "element")
+    for section, payload, name in labelled(file.sections):
         if section == "NodeData":
-            name, numbers, values = _data(payload, file.binary)
+            numbers, values = data_table(payload, file.binary)
             point_data[name] = _scattered(row_of(numbers), values, len(points))
         elif section == "ElementData":
-            name, numbers, values = _data(payload, file.binary)
+            numbers, values = data_table(payload, file.binary)
             total = sum(len(b.rows) for b in file.elements)
             cell_data[name] = np.split(_scattered(element_of(numbers), values, total), ends)
     names = {name: np.array([tag, dim]) for dim, tag, name in file.physical_names}
@@ -226,20 +226,16 @@ def _tags(file: MshFile) -> tuple[list[np.ndarray], list[np.ndarray]]:
     return physical, elementary
 
 
-def _data(payload: bytes, binary: bool) -> tuple[str, np.ndarray, np.ndarray]:
-    """The name of a data section, the numbers (n,) of its nodes or elements, their values (n, c)."""
-    rest, groups = payload, []
-    for _ in range(3):
-        head, rest = rest.split(b"\n", 1)
-        *lines, rest = rest.split(b"\n", int(head))
-        groups.append(lines)
+def data_table(payload: bytes, binary: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers (n,) of the nodes or elements of a data section, and their values (n, c)."""
+    head, groups = data_head(payload)
     _step, components, n = [int(word) for word in groups[2][:3]]
-    numbers = _Numbers(rest, binary, "Data")
+    numbers = _Numbers(payload[len(head) :], binary, "Data")
     if binary:
         table = numbers.take(n, [("number", np.int32), ("values", float, (components,))])
-        return data_name(payload), table["number"].astype(np.int64), table["values"]
+        return table["number"].astype(np.int64), table["values"]
     table = numbers.take(n * (1 + components), float).reshape(n, 1 + components)
-    return data_name(payload), table[:, 0].astype(np.int64), table[:, 1:]
+    return table[:, 0].astype(np.int64), table[:, 1:]
 
 
 def _scattered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -252,7 +248,7 @@ def _scattered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 def paired_nodes(file: MshFile) -> np.ndarray:
     """The rows of the nodes that $Periodic pairs with others, each once."""
-    row_of = _RowOf(np.concatenate([b.numbers for b in file.nodes]), "node")
+    row_of = RowOf(np.concatenate([b.numbers for b in file.nodes]), "node")
     found = [np.zeros(0, np.int64)]
     for section, payload in file.sections:
         if section == "Periodic":

@@ -7,7 +7,8 @@ from typing import Any
 import meshio
 import numpy as np
 
-from .gmsh_file import DATA_SECTIONS, KINDS, TAGS, Elements, MshFile, Nodes, data_name
+from .gmsh_file import KINDS, TAGS, Elements, MshFile, Nodes, data_head, labelled
+from .gmsh_read import RowOf, data_table
 from .text_numbers import number_lines
 
 # Gmsh knows fields of 1, 3 and 9 components: the columns of zeros that a field of so many components gets.
@@ -17,8 +18,9 @@ _PADDING = {2: 1, 4: 5, 5: 4, 6: 3, 7: 2, 8: 1}
 def write(path: Path, mesh: meshio.Mesh, file: MshFile) -> None:
     """Writes the sections of `file` with the nodes, elements and data of `mesh`.
 
-    Sections that are not parsed are written as they are, and so is data that `mesh` still has under its name,
-    except for the point data `fixed`, which is renewed.  Data that `mesh` has besides is added at the end.
+    Sections that are not parsed are written as they are.  Data that `mesh` still has under its name keeps its section,
+    with new values where they are others; the point data `fixed` is written anew.  Data that `mesh` has besides is
+    added at the end.  Data at the corners of elements goes where elements have other corners.
 
     file  from `gmsh_read.read`, with one block of elements for each block of `mesh.cells`, or from `gmsh_new.new_file`
     """
@@ -35,13 +37,19 @@ def write(path: Path, mesh: meshio.Mesh, file: MshFile) -> None:
         "Elements": (_elements_22 if old else _elements_41)(elements, node_numbers, file),
     }
     current = {"NodeData": mesh.point_data, "ElementData": mesh.cell_data}
-    kept = {(s, data_name(p)) for s, p in file.sections if s in DATA_SECTIONS} - {("NodeData", "fixed")}
+    kept = {(s, label) for s, _, label in labelled(file.sections) if label} - {("NodeData", "fixed")}
+    numbers = {"NodeData": node_numbers, "ElementData": np.concatenate([b.numbers for b in elements])}
+    same_corners = all(np.array_equal(a.rows, b.rows) for a, b in zip(elements, file.elements, strict=True))
     with open(path, "wb") as out:
-        for section, payload in file.sections:
-            key = (section, data_name(payload)) if section in DATA_SECTIONS else None
-            if key is None or (key in kept and key[1] in current[section]):
+        for section, payload, label in labelled(file.sections):
+            if section == "ElementNodeData" and not same_corners:
+                continue
+            if label and (section, label) in kept and label in current[section]:
+                values = current[section][label]
+                values = np.concatenate(values) if section == "ElementData" else values
+                payload = _renewed(payload, RowOf(numbers[section], section), np.asarray(values), file.binary)
+            if not label or ((section, label) in kept and label in current[section]):
                 out.write(_section(section, renewed.get(section, payload)))
-        numbers = {"NodeData": node_numbers, "ElementData": np.concatenate([b.numbers for b in elements])}
         for section, fields in current.items():
             for name, values in fields.items():
                 if (section, name) not in kept and name not in TAGS:
@@ -118,12 +126,25 @@ def _elements_22(blocks: list[Elements], node_numbers: np.ndarray, file: MshFile
     return b"".join(out) + (b"\n" if file.binary else b"")
 
 
+def _renewed(payload: bytes, row_of: RowOf, values: np.ndarray, binary: bool) -> bytes:
+    """A data section with the `values` (n, ...) of all nodes or elements; itself where they are those that it has."""
+    numbers, old = data_table(payload, binary)
+    new = values.reshape(len(values), -1)[row_of(numbers)].astype(float)
+    new = np.pad(new, ((0, 0), (0, old.shape[1] - new.shape[1])))
+    return payload if np.array_equal(old, new, equal_nan=True) else data_head(payload)[0] + _table(numbers, new, binary)
+
+
 def _data(name: str, numbers: np.ndarray, values: np.ndarray, binary: bool) -> bytes:
     table = np.asarray(values, float).reshape(len(numbers), -1)
     table = np.pad(table, ((0, 0), (0, _PADDING.get(table.shape[1], 0))))
     head = f'1\n"{name}"\n1\n0.0\n3\n0\n{table.shape[1]}\n{len(table)}\n'.encode()
+    return head + _table(numbers, table, binary)
+
+
+def _table(numbers: np.ndarray, table: np.ndarray, binary: bool) -> bytes:
+    """The rows of a data section: numbers (n,) of nodes or elements, and their values (n, c)."""
     if not binary:
-        return head + _text(_numbered(numbers, table))
+        return _text(_numbered(numbers, table))
     rows = np.empty(len(table), [("number", np.int32), ("values", float, (table.shape[1],))])
     rows["number"], rows["values"] = numbers, table
-    return head + rows.tobytes() + b"\n"
+    return rows.tobytes() + b"\n"
