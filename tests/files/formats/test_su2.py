@@ -4,17 +4,21 @@ import meshio
 import numpy as np
 import pytest
 import torch
-from file_contents import SU2, grid_arrays, load, save
+from file_contents import SU2, grid_arrays, load, rebuilt, save
 
 from torchmesh.errors import MeshError, MeshIOError, MeshWarning
+from torchmesh.files.documents import load as load_document
+from torchmesh.files.formats.registry import FORMATS
 from torchmesh.files.mesh_files import read, write
 
 
 def test_su2_names_of_several_words_become_one_word_and_none_is_an_error(tmp_path):
     (tmp_path / "in.su2").write_text(SU2.replace("MARKER_TAG= wall", "MARKER_TAG=  inlet pipe % left"))
-    mesh = read(tmp_path / "in.su2")
-    write(tmp_path / "out.su2", mesh, like=tmp_path / "in.su2")
+    form, document = FORMATS["su2"], load_document(tmp_path / "in.su2")
+    form.write(tmp_path / "out.su2", document.mesh, document, same_rows=False)
     assert "MARKER_TAG= inlet_pipe\nMARKER_ELEMS= 2\n" in (tmp_path / "out.su2").read_text()
+    assert form.left_behind(document, form, same_rows=True) == []
+    assert form.left_behind(document, form, same_rows=False) == ["comments at the ends of lines"]
     (tmp_path / "in.su2").write_text(SU2.replace("MARKER_TAG= wall", "MARKER_TAG= "))
     with pytest.raises(MeshIOError, match="MARKER_TAG has no name"):
         read(tmp_path / "in.su2")
@@ -26,11 +30,10 @@ def test_su2_markers_keep_their_names(tmp_path):
     assert len(mesh.triangles) == 4
     write(tmp_path / "out.su2", mesh.with_points(mesh.points + 1), like=tmp_path / "in.su2")
     text = (tmp_path / "out.su2").read_text()
-    assert "MARKER_TAG= wall\nMARKER_ELEMS= 2\n3 0 1\n3 1 2\n" in text
-    assert "MARKER_TAG= far_field\nMARKER_ELEMS= 2\n3 2 3\n3 3 0\n" in text
-    assert "FFD_NBOX= 1" in text
-    assert "% a comment" in text
-    assert "1.5 1.25\n" in text
+    # Only the lines of the points change, and keep what stands behind the coordinates.
+    changed = [(old, new) for old, new in zip(SU2.splitlines(), text.splitlines(), strict=True) if old != new]
+    assert len(changed) == 5
+    assert changed[4] == ("0.5 0.25 4", "1.5 1.25 4")
     with pytest.warns(MeshWarning, match="FFD_NBOX"):
         write(tmp_path / "out.vtu", mesh, like=tmp_path / "in.su2")
     tags = load(tmp_path / "out.vtu")
@@ -63,3 +66,18 @@ def test_su2_is_flat_and_lays_a_tilted_mesh_down(tmp_path):
     with pytest.warns(MeshWarning, match="two-dimensional"):
         write(tmp_path / "out.su2", mesh, like=tmp_path / "in.vtu")
     assert torch.equal(read(tmp_path / "out.su2").points, mesh.points)
+
+
+def test_flips_change_the_lines_of_their_elements_alone(tmp_path):
+    text = "% my case\n" + SU2.replace("5 0 1 4 0", "5 0 1 4 0 % first").replace("NPOIN= 5 5", "NPOIN= 5 % all")
+    text = text.replace("3 1 2\n", "3 1 2\nSEND_RECV= 0\n")
+    (tmp_path / "in.su2").write_text(text)
+    mesh = read(tmp_path / "in.su2")
+    turned = rebuilt(mesh, mesh.points.numpy(), mesh.triangles.numpy()[[1, 0, 2, 3]])
+    write(tmp_path / "out.su2", turned, like=tmp_path / "in.su2")
+    changed = [
+        pair
+        for pair in zip(text.splitlines(), (tmp_path / "out.su2").read_text().splitlines(), strict=True)
+        if pair[0] != pair[1]
+    ]
+    assert changed == [("5 0 1 4 0 % first", "5 1 2 4 0 % first"), ("5 1 2 4 1", "5 0 1 4 1")]

@@ -1,7 +1,8 @@
 """SU2's planar mesh files (.su2).
 
-meshio loses the names of markers and all lines that it does not know.  Here those lines (boxes for free-form
-deformation, comments, ...) are kept and written back as they were.
+meshio loses the names of markers and all lines that it does not know.  Here all lines of a file are kept; those of
+points and elements are renewed where they change.  A mesh with other points or elements gets new sections, after which
+the lines come that belong to none (boxes for free-form deformation, comments, ...).
 """
 
 import itertools
@@ -14,8 +15,8 @@ import meshio
 import numpy as np
 
 from .format import LINEAR, Document, Format
-from .su2_zones import Su2Zones, read_zones, zones_of
-from .text_numbers import next_rows, number_lines, numbers_of
+from .su2_zones import Su2Lines, read_zones, section_rows, zones_of
+from .text_numbers import number_lines, numbers_of
 
 _TAG = "su2:tag"
 
@@ -27,10 +28,7 @@ _NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
 
 @dataclass(frozen=True)
 class Su2Format(Format):
-    """The `rest` of a document is the list of lines that belong to no points, elements or markers.
-
-    Of a file with several zones it is a `Su2Zones`: such a file is changed in place.
-    """
+    """The `rest` of a document is a `Su2Lines`.  A file of several zones is only ever changed in place."""
 
     def read(self, path: Path) -> Document:
         """Markers become line cells with the integer cell data `su2:tag`, which is 0 on other cells.
@@ -43,26 +41,30 @@ class Su2Format(Format):
                 zones, file = read_zones(list(stream), _elements, _TAG)
                 return Document(zones, self.name, rest=file)
             stream.seek(0)
-            mesh, rest = _parse(stream)
-        return Document(mesh, self.name, rest=rest)
+            mesh, file = _parse(list(stream))
+        return Document(mesh, self.name, rest=file)
 
     def patches(self, document: Document) -> bool:
-        return isinstance(document.rest, Su2Zones)
+        return document.rest.several
 
     def patch(self, path: Path, mesh: meshio.Mesh, like: Document) -> None:
         with open(path, "w", encoding="utf-8", errors="surrogateescape", newline="") as stream:
             stream.writelines(like.rest.patched(mesh))
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        if like is not None and same_rows:
+            self.patch(path, mesh, like)
+            return
         with open(path, "w", encoding="utf-8", errors="surrogateescape") as stream:
             stream.writelines(_lines(mesh))
-            stream.writelines(line + "\n" for line in (like.rest if like is not None else []))
+            stream.writelines(line + "\n" for line in (like.rest.rest if like is not None else []))
 
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
+        file: Su2Lines = document.rest
         if target is self:
-            return []
-        rest = document.rest.rest if isinstance(document.rest, Su2Zones) else document.rest
-        comments = ["comments"] if any(line.lstrip().startswith("%") for line in rest) else []
+            return [] if same_rows or not file.remarks else ["comments at the ends of lines"]
+        rest = file.rest
+        comments = ["comments"] if file.remarks or any(line.lstrip().startswith("%") for line in rest) else []
         return [f"lines such as {line.strip()!r}" for line in rest if not line.lstrip().startswith("%")][:1] + comments
 
 
@@ -72,17 +74,18 @@ SU2 = Su2Format(
 )  # fmt: skip
 
 
-def _parse(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
-    """The mesh and the lines that are not understood; no more lines are held at a time than a section has.
+def _parse(lines: list[str]) -> tuple[meshio.Mesh, Su2Lines]:
+    """The mesh and where in the lines it stands.
 
     Raises ValueError for anything but a complete planar mesh of one zone.
     """
     points: np.ndarray | None = None
-    rest: list[str] = []
+    file = Su2Lines(lines)
     cells: list[tuple[str, int, np.ndarray]] = []
     names: dict[str, int] = {}
     tag = markers = found = 0
-    for line in lines:
+    numbered = iter(enumerate(lines))
+    for _, line in numbered:
         match = re.match(r"\s*(\w+)\s*=\s*([^%]*)", line)
         key, value = (match[1].upper(), match[2].strip()) if match else ("", "")
         if key == "NDIME":
@@ -91,7 +94,8 @@ def _parse(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
         elif key == "NZONE":
             pass
         elif key == "NPOIN":
-            rows = next_rows(lines, int(value.split()[0]), "NPOIN")
+            at, rows = section_rows(numbered, int(value.split()[0]), "NPOIN")
+            file.points += at
             numbers, starts, widths = numbers_of(rows, "NPOIN")
             if len(rows) and widths.min() < 2:
                 raise ValueError(f"a point needs two coordinates: {rows[int(widths.argmin())].strip()!r}")
@@ -110,19 +114,26 @@ def _parse(lines: Iterator[str]) -> tuple[meshio.Mesh, list[str]]:
             tag = names[name]
         elif key in ("NELEM", "MARKER_ELEMS"):
             own = tag if key == "MARKER_ELEMS" else 0
-            for kind, nodes in _elements(next_rows(lines, int(value), key), key):
+            at, rows = section_rows(numbered, int(value), key)
+            for kind, nodes in _elements(rows, key):
+                here, at = at[: len(nodes)], at[len(nodes) :]
                 if cells and cells[-1][:2] == (kind, own):
-                    nodes = np.concatenate([cells.pop()[2], nodes])
+                    nodes, here = np.concatenate([cells.pop()[2], nodes]), [*file.cells.pop(), *here]
                 cells.append((kind, own, nodes))
+                file.cells.append(here)
         elif line.strip():
-            rest.append(line.rstrip("\n"))
+            file.rest.append(line.rstrip("\r\n"))
+            continue
+        file.remarks |= "%" in line
     if points is None or not cells:
         raise ValueError("it has no NPOIN or no NELEM section")
     if found != markers:
         raise ValueError(f"NMARK says {markers} markers, the file has {found}")
     data = {_TAG: [np.full(len(nodes), own) for _, own, nodes in cells]}
     groups = {name: np.array([number, 1]) for name, number in names.items()}
-    return meshio.Mesh(points, [(k, nodes) for k, _, nodes in cells], cell_data=data, field_data=groups), rest
+    file.starts = [0] * len(cells)
+    file.remarks |= any("%" in lines[number] for numbers in [file.points, *file.cells] for number in numbers)
+    return meshio.Mesh(points, [(k, nodes) for k, _, nodes in cells], cell_data=data, field_data=groups), file
 
 
 def _elements(rows: list[str], section: str) -> Iterator[tuple[str, np.ndarray]]:

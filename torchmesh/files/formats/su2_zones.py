@@ -1,4 +1,4 @@
-"""SU2 files with several zones, which are kept as their lines and changed in place.
+"""The lines of SU2 files, in which points and elements are changed in place; and files with several zones.
 
     NZONE= 2
     IZONE= 1    NDIME ... NELEM ... NPOIN ... NMARK ...     points are numbered from 0 in each zone
@@ -24,13 +24,15 @@ Elements = Callable[[list[str], str], Iterator[tuple[str, np.ndarray]]]
 
 
 @dataclass
-class Su2Zones:
+class Su2Lines:
     """The lines of a file, with their ends.
 
-    points  for each point the number of its line
-    cells   for each block of cells the numbers of their lines
-    starts  for each block of cells the first point of its zone
-    rest    the lines that belong to no section
+    points   for each point the number of its line
+    cells    for each block of cells the numbers of their lines
+    starts   for each block of cells the first point of its zone
+    rest     the lines that belong to no section
+    several  has the file several zones
+    remarks  do lines of sections end in comments
     """
 
     lines: list[str]
@@ -38,6 +40,8 @@ class Su2Zones:
     cells: list[list[int]] = field(default_factory=list)
     starts: list[int] = field(default_factory=list)
     rest: list[str] = field(default_factory=list)
+    several: bool = False
+    remarks: bool = False
 
     def patched(self, mesh: meshio.Mesh) -> list[str]:
         """The lines with the points and cells of `mesh`, which has the points and cells of the file, row by row."""
@@ -71,12 +75,12 @@ def zones_of(lines: list[str]) -> int:
     return 1
 
 
-def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[meshio.Mesh, Su2Zones]:
+def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[meshio.Mesh, Su2Lines]:
     """The mesh of all zones.  Markers are lines with the cell data `tag_name`; the same name is the same number.
 
     Raises ValueError for anything but complete planar zones, as many as the file says.
     """
-    file = Su2Zones(lines)
+    file = Su2Lines(lines, several=True)
     points: list[np.ndarray] = []
     blocks: list[tuple[str, int, int, np.ndarray]] = []
     names: dict[str, int] = {}
@@ -91,7 +95,7 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
         elif key == "NDIME" and int(value) != 2:
             raise ValueError("NDIME is not 2: only planar meshes can be improved")
         elif key == "NPOIN":
-            at, rows = _rows(numbered, int(value.split()[0]), f"NPOIN of zone {zone}")
+            at, rows = section_rows(numbered, int(value.split()[0]), f"NPOIN of zone {zone}")
             numbers, starts, widths = numbers_of(rows, f"NPOIN of zone {zone}")
             if len(rows) and widths.min() < 2:
                 raise ValueError(f"a point needs two coordinates: {rows[int(widths.argmin())].strip()!r}")
@@ -101,7 +105,7 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
         elif key == "MARKER_TAG":
             tag = names.setdefault(value, len(names) + 1)
         elif key in ("NELEM", "MARKER_ELEMS"):
-            at, rows = _rows(numbered, int(value), f"{key} of zone {zone}")
+            at, rows = section_rows(numbered, int(value), f"{key} of zone {zone}")
             done = 0
             for kind, nodes in elements(rows, key):
                 blocks.append((kind, zone, tag if key == "MARKER_ELEMS" else 0, nodes + start))
@@ -124,7 +128,7 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
     return meshio.Mesh(np.concatenate(points), cells, cell_data=data, field_data=groups), file
 
 
-def _rows(lines: Iterator[tuple[int, str]], count: int, section: str) -> tuple[list[int], list[str]]:
+def section_rows(lines: Iterator[tuple[int, str]], count: int, section: str) -> tuple[list[int], list[str]]:
     """The numbers and texts of the next `count` lines that are not empty, without comments.  Raises ValueError."""
     numbers: list[int] = []
     texts: list[str] = []

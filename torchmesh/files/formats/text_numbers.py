@@ -1,6 +1,5 @@
 """Rows of numbers in text files: read with errors that quote the row, written without loss."""
 
-import itertools
 import warnings
 from collections.abc import Iterator
 
@@ -33,21 +32,6 @@ def _first_bad_row(rows: list[str]) -> str:
         except ValueError:
             return row.strip()
     return ""
-
-
-def next_rows(lines: Iterator[str], count: int, section: str) -> list[str]:
-    """The next `count` lines that are not empty, without comments (from % on).
-
-    Raises ValueError, naming the section, if the file ends before.
-    """
-    rows: list[str] = []
-    while len(rows) < count:
-        more = list(itertools.islice(lines, count - len(rows)))
-        if not more:
-            raise ValueError(f"{section} says {count}, the file ends after {len(rows)}")
-        more = [line.split("%", 1)[0] if "%" in line else line for line in more]
-        rows += [line for line in more if not line.isspace() and line]
-    return rows
 
 
 def number_lines(table: np.ndarray, before: str = "") -> Iterator[str]:
