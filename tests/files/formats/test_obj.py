@@ -43,3 +43,14 @@ def test_obj_keeps_materials_texture_and_lines(tmp_path):
 def test_obj_groups_are_regions(tmp_path):
     (tmp_path / "in.obj").write_text(OBJ.replace("f -4", "usemtl blue\nf -4"))
     assert read(tmp_path / "in.obj").constrained_edges.tolist() == [[0, 2]]
+
+
+def test_comments_at_the_ends_of_lines_stay(tmp_path):
+    text = "# head\nv 0 0 0 # origin\nv 1 0 0\nv 1 1 0\nv 0 1 0 #top\nf 1 2 3 # first\nf 1 3 4\n"
+    (tmp_path / "in.obj").write_text(text)
+    mesh = read(tmp_path / "in.obj")
+    other = mesh.with_triangles(torch.tensor([[0, 1, 3], [1, 2, 3]])).with_points(mesh.points * 2)
+    write(tmp_path / "out.obj", other, like=tmp_path / "in.obj")
+    lines = (tmp_path / "out.obj").read_text().splitlines()
+    assert lines[:2] == ["# head", "v 0 0 0 # origin"]
+    assert lines[4:] == ["v 0.0 2.0 0.0 #top", "f 1 2 4 # first", "f 2 3 4"]

@@ -48,6 +48,10 @@ VTK = (
     "CELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n5\nPOINT_DATA 3\nSCALARS u double 1\nLOOKUP_TABLE mine\n0\n1\n2\n"
     "LOOKUP_TABLE mine 1\n0 0 1 1\n"
 )
+NETGEN = (
+    "# by hand\nmesh3d\ndimension\n2\ngeomtype\n0\n# surfnr bcnr domin domout np p1 p2 p3\nsurfaceelements\n1\n"
+    "1 1 0 0 3 1 2 3\n#          X\npoints\n3\n0 0 0\n1 0 0\n0 1 0\nendmesh\n"
+)
 OBJ = "# by hand\nmtllib a.mtl\no part\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\ns 1\nf 1 2 3\nf 1 3 4\n"
 CASES = {
     "a.off": (OFF, ["comments"]),
@@ -55,7 +59,8 @@ CASES = {
     "a.ply": (PLY, ["comments", "obj_info"]),
     "a.stl": (STL, ["the name 'my part'"]),
     "a.dat": (TECPLOT, ["comments", "the title 'plate'", 'T="inner"', "DATASETAUXDATA"]),
-    "a.dato": (PERMAS, ["comments", "$MATERIAL"]),
+    "a.dato": (PERMAS, ["comments", "the name 'A'", "the element type TRIA3", "$MATERIAL"]),
+    "a.vol": (NETGEN, ["comments"]),
     "a.avs": (AVS, ["comments"]),
     "a.xml": (DOLFIN, ["comments", "<data>"]),
 }
@@ -169,6 +174,30 @@ def test_every_format_of_meshio_has_such_a_look():
     from torchmesh.files.formats.meshio_formats import MeshioFormat
 
     known = {f.name for f in FORMATS.values() if isinstance(f, MeshioFormat) and not (f.skipped or f.skipped_file)}
-    # The first is written by meshio alone, the others are changed in place.
-    assert known == {"hmf", "exodus", "abaqus", "nastran", "mdpa"}
+    # These are changed in place.
+    assert known == {"exodus", "abaqus", "nastran", "mdpa"}
     assert format_of(Path("a.off")).name == "off"
+
+
+def test_names_units_and_times_of_med_xdmf_and_hmf(tmp_path):
+    import numpy as np
+
+    plain = meshio.Mesh(grid().points[:, :2], [("triangle", grid().cells[1].data)], point_data={"u": np.arange(25.0)})
+    plain.write(tmp_path / "a.med")
+    assert skipped.in_med(tmp_path / "a.med") == []
+    with h5py.File(tmp_path / "a.med", "a") as file:
+        file["ENS_MAA/mesh"].attrs.update({"DES": b"a plate", "UNI": b"mm"})
+        file["CHA/u"].attrs["UNI"] = b"K"
+        next(iter(file["CHA/u"].values())).attrs["PDT"] = 0.5
+    names = ["the description 'a plate'", "units of coordinates", "units of 'u'", "times of 'u'"]
+    assert lost(tmp_path / "a.med", tmp_path / "b.med") == names
+    plain.write(tmp_path / "a.hmf")
+    with h5py.File(tmp_path / "a.hmf", "a") as file:
+        file.attrs["title"] = "mine"
+        file["domain/grid"].attrs["author"] = "me"
+    assert skipped.in_hmf(tmp_path / "a.hmf") == ["the attribute 'title'", "the attribute 'author' of domain/grid"]
+    meshio.write(tmp_path / "a.xdmf", plain, data_format="XML")
+    (tmp_path / "a.xdmf").write_text(
+        (tmp_path / "a.xdmf").read_text().replace('<Grid Name="Grid"', '<Grid Name="plate"')
+    )
+    assert lost(tmp_path / "a.xdmf", tmp_path / "b.xdmf") == ["the name 'plate'"]

@@ -27,6 +27,7 @@ from .skipped import (
     each_once,
     in_avs,
     in_h5m,
+    in_hmf,
     in_med,
     in_medit,
     in_netgen,
@@ -181,6 +182,6 @@ SOLVER_FORMATS = (
         stream="text",
     ),
     MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True, check_file=check_hdf5, skipped_file=in_h5m),
-    MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True, check_file=check_hdf5),
+    MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True, check_file=check_hdf5, skipped_file=in_hmf),
     MeshioFormat("dolfin-xml", (".xml",), **_TRIANGLES, check=check_dolfin, skipped=partial(in_xml, form="dolfin-xml")),
 )  # fmt: skip

@@ -72,7 +72,7 @@ def _parse(lines: list[str]) -> tuple[meshio.Mesh, ObjFile]:
     groups: dict[tuple[str, ...], int] = {}
     state = {"o": "", "g": "", "usemtl": ""}
     for number, line in enumerate(file.lines):
-        key, *words = line.split() or [""]
+        key, *words = line.split("#", 1)[0].split() or [""]
         if key == "v":
             if len(words) < 3:
                 raise ValueError(f"line {number + 1} needs three coordinates: {line.strip()!r}")
@@ -116,9 +116,10 @@ def _renewed(file: ObjFile, mesh: meshio.Mesh) -> list[str]:
     """The lines of `file`, with the vertices and faces of `mesh` where they differ."""
     lines = list(file.lines)
     for number, point in zip(file.vertices, mesh.points.tolist(), strict=True):
-        words = lines[number].split()
+        text, *remark = lines[number].split("#", 1)
+        words = text.split()
         if [float(word) for word in words[1:4]] != point:
-            lines[number] = " ".join(["v", *map(repr, point), *words[4:]])
+            lines[number] = " ".join(["v", *map(repr, point), *words[4:], *(f"#{more}" for more in remark)])
     _renew_faces(lines, mesh, file)
     return lines
 
@@ -130,7 +131,7 @@ def _renew_faces(lines: list[str], mesh: meshio.Mesh, file: ObjFile) -> None:
     above = np.searchsorted(file.vertices, np.arange(len(lines))).tolist()  # the number of vertices before each line
     for numbers, block in zip(file.blocks, mesh.cells, strict=True):
         for number, row in zip(numbers, block.data.tolist(), strict=True):
-            words = lines[number].split()[1:]
+            words = lines[number].split("#", 1)[0].split()[1:]
             corners = [int(word.split("/")[0]) for word in words]
             rows = [c - 1 if c > 0 else above[number] + c for c in corners]
             for corner, word in zip(rows, words, strict=True):
@@ -140,4 +141,5 @@ def _renew_faces(lines: list[str], mesh: meshio.Mesh, file: ObjFile) -> None:
     for number, row in stale:
         plain = any(len(known.get(c, ())) != 1 or "-" in next(iter(known[c])) for c in row)
         words = [str(corner + 1) if plain else next(iter(known[corner])) for corner in row]
-        lines[number] = " ".join(["f", *words])
+        remark = lines[number].split("#", 1)[1:]
+        lines[number] = " ".join(["f", *words, *(f"#{text}" for text in remark)])

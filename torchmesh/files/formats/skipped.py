@@ -28,6 +28,9 @@ _PERMAS_KNOWN = ("ENTER COMPONENT", "STRUCTURE", "COOR", "ELEMENT", "END STRUCTU
 
 _NETGEN_SKIPPED = rb"face_colours|singular_edge_left|singular_edge_right|singular_face_inside|singular_face_outside"
 
+# Comments with which Netgen and meshio say what stands in the columns below.
+_NETGEN_HEADS = rb"#\s*(Generated|surfnr|surfid|matnr|pnum|p1|X)\b"
+
 _XML_KNOWN = {
     "vtu": {"VTKFile", "UnstructuredGrid", "Piece", "Points", "Cells", "DataArray", "PointData", "CellData",
             "FieldData", "AppendedData"},
@@ -89,13 +92,24 @@ def in_netgen(data: bytes) -> list[str]:
     # A row begins with the numbers of its surface, boundary condition and domains, of which the second is kept.
     rows = re.findall(rb"^\s*(\d+) +\d+ +(\d+) +(\d+) +[34] +\d+ +\d+ +\d+", data, re.M)
     domains = [b"domains of surfaceelements"] if any(row[1:] != (b"0", b"0") for row in rows) else []
-    return list(map(_text, found + domains))
+    return [*_comments(data, b"#", but=_NETGEN_HEADS), *map(_text, found + domains)]
 
 
 def in_permas(data: bytes) -> list[str]:
     words = [_text(line).strip().upper() for line in re.findall(rb"^\$([^\r\n]*)", data, re.M)]
     found = [f"${word.split('NAME')[0].strip()}" for word in words if not word.startswith(_PERMAS_KNOWN)]
-    return [*_comments(data, b"!", but=rb"!PERMAS|!\s*$"), *found]
+    name = re.search(rb"^\$ENTER COMPONENT\s+NAME\s*=\s*(\S+)", data, re.M | re.I)
+    names = [f"the name {_text(name[1])!r}"] if name and name[1].upper() != b"DFLT_COMP" else []
+    types = re.findall(rb"^\$ELEMENT\s+TYPE\s*=\s*(\w+)", data, re.M | re.I)
+    others = [f"the element type {_text(kind)}" for kind in types if not _is_written_in_permas(_text(kind).upper())]
+    return [*_comments(data, b"!", but=rb"!PERMAS|!\s*$"), *names, *others, *found]
+
+
+def _is_written_in_permas(kind: str) -> bool:
+    """Does meshio write elements of this type under the same name?"""
+    from meshio.permas._permas import meshio_to_permas_type, permas_to_meshio_type
+
+    return meshio_to_permas_type.get(permas_to_meshio_type.get(kind, "")) == kind
 
 
 def in_avs(data: bytes) -> list[str]:
@@ -126,6 +140,9 @@ def in_xml(data: bytes, form: str) -> list[str]:
     head = _without_raw(data)
     tags = {_text(name) for name in re.findall(rb"<([A-Za-z]\w*)", head)}
     found += [f"<{tag}>" for tag in sorted(tags - _XML_KNOWN[form])]
+    if form == "xdmf":
+        names = [_text(name) for name in re.findall(rb"<Grid\b[^>]*\bName=\"([^\"]*)\"", head)]
+        found += [f"the name {name!r}" for name in names if name not in ("Grid", "mesh", "")]
     if form == "vtu":
         for name in re.findall(rb"<(?:Data)?Array[^>]*type=\"String\"[^>]*>", head):
             title = re.search(rb'Name="([^"]*)"', name)
@@ -152,7 +169,37 @@ def in_med(path: Path) -> list[str]:
 
     with h5py.File(path, "r") as file:
         found += [name for name in file if name not in ("INFOS_GENERALES", "ENS_MAA", "FAS", "CHA")]
+        for name, mesh in file.get("ENS_MAA", {}).items():
+            found += [f"the name {name!r}"] if name != "mesh" else []
+            description = _attribute(mesh, "DES")
+            found += [f"the description {description!r}"] if description and "meshio" not in description else []
+            found += ["units of coordinates"] if _attribute(mesh, "UNI") or _attribute(mesh, "UNT") else []
+        for name, steps in file.get("CHA", {}).items():
+            found += [f"units of {name!r}"] if _attribute(steps, "UNI") or _attribute(steps, "UNT") else []
+            times = [float(step.attrs.get("PDT", 0.0)) for step in steps.values()]
+            found += [f"times of {name!r}"] if any(time not in (0.0, -1.0) for time in times) else []
         file.visititems(look)
+    return found
+
+
+def _attribute(item: Any, name: str) -> str:
+    """An attribute of HDF5 that is text; "" where there is none."""
+    value = item.attrs.get(name, b"")
+    return (_text(value) if isinstance(value, bytes) else str(value)).strip("\0 ")
+
+
+def in_hmf(path: Path) -> list[str]:
+    import h5py
+
+    known = {"type", "version", "TopologyType", "GeometryType"}
+    found: list[str] = []
+    with h5py.File(path, "r") as file:
+        found += [f"the attribute {name!r}" for name in file.attrs if name not in known]
+        file.visititems(
+            lambda name, item: found.extend(
+                f"the attribute {key!r} of {name}" for key in item.attrs if key not in known
+            )
+        )
     return found
 
 
