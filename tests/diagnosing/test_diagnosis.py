@@ -399,7 +399,7 @@ def test_a_slit_that_crosses_another_boundary_is_named():
     below, above = ((points[:, 1] == 0.5) & (points[:, 0] == 0.5)).nonzero().squeeze(1).tolist()
     points[below, 1], points[above, 1] = 0.4, 0.6
     assert diagnose(mesh.with_points(points)) == []
-    # Overlapping sheets of upright triangles are valid; with one inverted, that they overlap is told, and they are mended.
+    # Overlapping sheets of upright triangles are valid; with one inverted, the overlap is told, and they are mended.
     points[below, 1], points[above, 1] = 0.7, 0.3
     assert diagnose(mesh.with_points(points)) == []
     points[(~mesh.fixed).nonzero()[0]] += 0.4
