@@ -58,40 +58,46 @@ EXAMPLES = (
 )
 
 
+OutArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="OUT", help="Mesh file to write; fields, groups and lines of IN come along.", show_default=False
+    ),
+]
+ReferenceOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="The mesh before it was deformed, with the same triangles in the same order. Its shapes and sizes are "
+        "then the aim: layers follow their walls, and keep their heights.",
+        show_default=False,
+    ),
+]
+ReportOption = Annotated[
+    Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
+]
+PlotOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.png", help="Draw before and after; also .pdf and .svg. Needs matplotlib.", show_default=False
+    ),
+]
+
+
 def improve(
     source: InArgument,
-    target: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT", help="Mesh file to write; fields, groups and lines of IN come along.", show_default=False
-        ),
-    ],
+    target: OutArgument,
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
-    reference: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The mesh before it was deformed, with the same triangles in the same order. Its shapes and sizes are "
-            "then the aim: layers follow their walls, and keep their heights.",
-            show_default=False,
-        ),
-    ] = None,
+    reference: ReferenceOption = None,
     beta: BetaOption = None,
     fields: FieldsOption = Fields.interpolate,
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.png", help="Draw before and after; also .pdf and .svg. Needs matplotlib.", show_default=False
-        ),
-    ] = None,
+    report: ReportOption = None,
+    plot: PlotOption = None,
     strict: StrictOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,

@@ -32,44 +32,53 @@ EXAMPLES = (
 )
 
 
+OutArgument = Annotated[
+    Path | None, typer.Argument(metavar="OUT", help="Mesh file to write; none with --list.", show_default=False)
+]
+ListOption = Annotated[
+    bool,
+    typer.Option("--list", help="List the boundary's loops by name, with their positions, and do nothing else."),
+]
+MoveOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PART:DX,DY", help="Move a part of the boundary; may be given several times.", show_default=False
+    ),
+]
+RotateOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PART:DEG",
+        help="Turn a part counter-clockwise about the middle of its bounding box, or, PART:DEG:X,Y, about a point.",
+        show_default=False,
+    ),
+]
+DisplacementOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Move the boundary by this point field of IN.", show_default=False),
+]
+ImproveOption = Annotated[
+    bool, typer.Option("--improve", help="Improve the warped mesh at once, as torchmesh improve does.")
+]
+StepsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="auto|N",
+        help="Move in so many steps at least, each so small that nothing tangles; edges may flip.",
+        show_default=False,
+    ),
+]
+
+
 def warp(
     source: InArgument,
-    target: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help="Mesh file to write; none with --list.", show_default=False)
-    ] = None,
-    list_parts: Annotated[
-        bool,
-        typer.Option("--list", help="List the boundary's loops by name, with their positions, and do nothing else."),
-    ] = False,
-    move: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PART:DX,DY", help="Move a part of the boundary; may be given several times.", show_default=False
-        ),
-    ] = None,
-    rotate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PART:DEG",
-            help="Turn a part counter-clockwise about the middle of its bounding box, or, PART:DEG:X,Y, about a point.",
-            show_default=False,
-        ),
-    ] = None,
-    displacement: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Move the boundary by this point field of IN.", show_default=False),
-    ] = None,
-    improve_too: Annotated[
-        bool, typer.Option("--improve", help="Improve the warped mesh at once, as torchmesh improve does.")
-    ] = False,
-    steps: Annotated[
-        str | None,
-        typer.Option(
-            metavar="auto|N",
-            help="Move in so many steps at least, each so small that nothing tangles; edges may flip.",
-            show_default=False,
-        ),
-    ] = None,
+    target: OutArgument = None,
+    list_parts: ListOption = False,
+    move: MoveOption = None,
+    rotate: RotateOption = None,
+    displacement: DisplacementOption = None,
+    improve_too: ImproveOption = False,
+    steps: StepsOption = None,
     strict: StrictOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
