@@ -125,6 +125,13 @@ def flip_rounds(
 
     The log is (F,) int64, the lower-numbered triangle of each flip, so that flips can be counted per mesh.
     """
+    known = _compiled(rule, twin)
+    if known is not None:
+        half_edges = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
+        asked = None if around is None else _each_edge_once(_half_edges_of(around), twin)
+        xy = points[:, 0].contiguous(), points[:, 1].contiguous()
+        flips = flip_in_rounds(xy, half_edges, asked, *known, once, max_rounds)
+        return half_edges[0].reshape(-1, 3), half_edges[1], flips
     gather = torch.index_select
     edges = _HalfEdges.of(triangles, twin, locked)
     pinched = torch.bincount(edges.vertex[twin < 0], minlength=len(points)) > 1
@@ -134,13 +141,7 @@ def flip_rounds(
     if around is None:
         queue = (edges.twin > edges.moved).nonzero().squeeze(1)
     else:
-        corner = (around.nonzero() * 3 + torch.arange(3, device=around.device)).reshape(-1)
-        queue = _each_edge_once(corner, edges.twin)
-    known = _compiled(rule, edges)
-    if known is not None:
-        half_edges, number, metric = (edges.vertex, edges.twin, edges.locked), *known
-        flips = flip_in_rounds((question.x, question.y), half_edges, pinched, queue, number, metric, once, max_rounds)
-        return edges.vertex.reshape(-1, 3), edges.twin, flips
+        queue = _each_edge_once(_half_edges_of(around), edges.twin)
     for _ in range(max_rounds):
         queue = queue[~edges.locked.index_select(0, queue)]
         h, rank, barred = _eligible(edges, question, queue)
@@ -164,15 +165,20 @@ def flip_rounds(
 _KNOWN: dict[Rule, int] = {safe_rule: SAFE, kim_rule: KIM, shape_rule: SHAPE}
 
 
-def _compiled(rule: Rule | VertexRule, edges: _HalfEdges) -> tuple[int, Tensor | None] | None:
+def _compiled(rule: Rule | VertexRule, twin: Tensor) -> tuple[int, Tensor | None] | None:
     """The number by which the compiled loop knows the rule, and its metric; None where torch is to do the work."""
     # The compiled loop numbers half-edges in 32 bits.
-    if len(edges.vertex) >= 2**31 or library_for(edges.vertex) is None:
+    if len(twin) >= 2**31 or library_for(twin) is None:
         return None
     if type(rule) is MetricRule:
         return METRIC, rule.metric.to(torch.float64)
     number = None if isinstance(rule, VertexRule) else _KNOWN.get(rule)
     return None if number is None else (number, None)
+
+
+def _half_edges_of(triangles: Tensor) -> Tensor:
+    """The half-edges of the `triangles` (T,) bool."""
+    return (triangles.nonzero() * 3 + torch.arange(3, device=triangles.device)).reshape(-1)
 
 
 def _each_edge_once(h: Tensor, twin: Tensor) -> Tensor:

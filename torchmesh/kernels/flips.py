@@ -18,17 +18,17 @@ class _Rounds(ctypes.Structure):
     """`RoundsArgument` of source/flips.cpp."""
 
     _fields_ = [
-        ("x", ADDRESS), ("y", ADDRESS), ("metric", ADDRESS), ("pinched", ADDRESS),
+        ("x", ADDRESS), ("y", ADDRESS), ("metric", ADDRESS),
         ("vertex", ADDRESS), ("twin", ADDRESS), ("locked", ADDRESS), ("half_edges", INT64),
-        ("queue", ADDRESS), ("queued", INT64), ("max_rounds", INT64), ("rule", INT32), ("once", INT32),
+        ("queue", ADDRESS), ("queued", INT64), ("max_rounds", INT64), ("vertices", INT64),
+        ("rule", INT32), ("once", INT32),
     ]  # fmt: skip
 
 
 def flip_in_rounds(
     xy: tuple[Tensor, Tensor],
     half_edges: tuple[Tensor, Tensor, Tensor],
-    pinched: Tensor,
-    queue: Tensor,
+    queue: Tensor | None,
     rule: int,
     metric: Tensor | None,
     once: bool,
@@ -38,8 +38,7 @@ def flip_in_rounds(
 
     xy          x and y (V,) float64
     half_edges  vertex and twin (3T,) int64, locked (3T,) bool
-    pinched     (V,) bool, the vertices where several fans of triangles meet
-    queue       (Q,) int64, the lower half-edges of the edges to ask about first, ascending
+    queue       (Q,) int64, the lower half-edges of the edges to ask about first, ascending; None: all
     rule        one of the numbers above; with METRIC, metric is (V, 3) float64
 
     Returns (F,) int64, the lower-numbered triangle of each flip.
@@ -47,8 +46,8 @@ def flip_in_rounds(
     vertex, twin, locked = half_edges
     metric = None if metric is None else metric.contiguous()
     argument = _Rounds(
-        *(pointer(v) for v in (*xy, metric, pinched, vertex, twin, locked)), len(vertex),
-        pointer(queue), len(queue), max_rounds, rule, once,
+        *(pointer(v) for v in (*xy, metric, vertex, twin, locked)), len(vertex),
+        pointer(queue), -1 if queue is None else len(queue), max_rounds, len(xy[0]), rule, once,
     )  # fmt: skip
     rounds = ADDRESS(call("tm_flips_start", ADDRESS, ctypes.byref(argument)))
     try:

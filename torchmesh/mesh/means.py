@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from ..kernels import packing
+from ..kernels.library import library_for
 from .batch import MeshBatch
 from .connectivity import edges, vertex_triangle_counts
 from .triangle import corners, squared_edge_lengths
@@ -51,6 +53,8 @@ class Means:
 
 def vertex_size(batch: MeshBatch) -> Tensor:
     """(V,) root mean square edge length round each vertex, in the batch's unit; 0 for unused ones."""
+    if library_for(batch.points) is not None:
+        return packing.vertex_size(batch.points.to(torch.float64), batch.triangles)
     ab, bc, ca = squared_edge_lengths(corners(batch.points.to(torch.float64), batch.triangles))
     a, b, c = (v.contiguous() for v in batch.triangles.unbind(1))
     total = ab.new_zeros(len(batch.points))

@@ -17,6 +17,7 @@ from torch import Tensor
 from ..kernels.energies import PackedTriangles, energies
 from ..kernels.library import library_for
 from ..kernels.minimiser import Outcome, Settings, minimise_meshes
+from ..kernels.packing import packed
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
@@ -109,6 +110,10 @@ def pack(
     block          numbers in a block
     """
     centre, unit = centre_and_unit(points, point_offsets)
+    if library_for(points) is not None:
+        offsets = point_offsets, triangle_offsets
+        made = packed(points.to(torch.float64), triangles, free, *offsets, (centre, unit), displacements, block)
+        return Packing(**made._asdict(), centre=centre, unit=unit)
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     touched, kept, corner = _touched(triangles, free)

@@ -15,12 +15,11 @@ constexpr double LEAST_GAIN = 1e-10, NEARLY_NOT_DELAUNAY = -0.5, SQRT3 = 1.73205
 struct RoundsArgument {
     const double *x, *y;
     const double* metric;  // (V, 3), or null
-    const std::uint8_t* pinched;
     std::int64_t *vertex, *twin;  // (3T,), read and written
     std::uint8_t* locked;         // (3T,), read and written
     std::int64_t half_edges;
     const std::int64_t* queue;  // lower half-edges, ascending
-    std::int64_t queued, max_rounds;
+    std::int64_t queued, max_rounds, vertices;  // queued is -1 for all
     std::int32_t rule, once;
 };
 
@@ -156,8 +155,14 @@ class Rounds {
           twin_(given.twin, given.twin + given.half_edges),
           moved_(given.half_edges),
           best_(given.half_edges / 3, Row(given.half_edges)),
-          queue_(given.queue, given.queue + given.queued),
-          marks_(given.half_edges, 0) {
+          marks_(given.half_edges, 0),
+          pinched_(given.vertices, 0) {
+        if (given.queued > 0) queue_.assign(given.queue, given.queue + given.queued);
+        for (Row h = 0; h < Row(given.half_edges); ++h) {
+            // Several fans meet in a vertex where more than one of its half-edges is on the boundary.
+            if (twin_[h] < 0 && pinched_[vertex_[h]] < 2) ++pinched_[vertex_[h]];
+            if (given.queued < 0 && twin_[h] > h) queue_.push_back(h);
+        }
         for (std::size_t i = 0; i < moved_.size(); ++i) moved_[i] = Row(i);
     }
 
@@ -219,8 +224,8 @@ class Rounds {
             const Answer answer = ask(u, w, s, r);
             if (!answer.wanted || s == r) continue;
             // Of two pinched vertices neither can be trusted to show all its edges.
-            const bool from_r = given_.pinched[s];
-            const bool exists = edge_exists(from_r ? last_g : last_h, from_r ? s : r) || (from_r && given_.pinched[r]);
+            const bool from_r = pinched_[s] > 1;
+            const bool exists = edge_exists(from_r ? last_g : last_h, from_r ? s : r) || (from_r && pinched_[r] > 1);
             if (exists)
                 barred_.push_back(h);
             else
@@ -318,6 +323,7 @@ class Rounds {
     const RoundsArgument given_;
     std::vector<Row> vertex_, twin_, moved_, best_, queue_, waiting_, barred_, touched_, diagonals_;
     std::vector<std::uint32_t> marks_;
+    std::vector<std::uint8_t> pinched_;
     std::uint32_t mark_ = 0;
     std::vector<Flip> flips_;
     std::vector<char> chosen_;
