@@ -43,6 +43,11 @@ def test_former_faults_are_none(kind, number):
     assert fault == "", name
 
 
+def test_what_untangling_left_of_a_strip_over_itself_is_triangulated_anew():
+    name, fault = meshes.examine(9, "strips over themselves", 1)
+    assert fault == "", name
+
+
 @pytest.mark.parametrize("kind", list(DOMAINS))
 def test_domains_are_valid_meshes_and_the_same_for_a_seed(kind):
     made = some(kind, 10)

@@ -147,7 +147,7 @@ def untangle_by_retriangulation(state: State, run: Runner, o: ImproveOptions) ->
 def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -> State:
     """The regularised functional, first from the positions that were given, then from those that averaging gave."""
     # Where edges may flip, the other ways have mended what can be mended beside a fault.
-    hopeful = state.tangled & ~(state.impossible & o.may_flip)
+    hopeful, before = state.tangled & ~(state.impossible & o.may_flip), state.quality.inverted
     bounded = state.faulty | o.may_flip
     if o.at_interfaces == "free":
         # Cavities do little for interfaces that are out of place, so that kept triangles are the best hope.
@@ -161,6 +161,14 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         elsewhere = segment_any((state.averaged != state.given.points).any(1), state.given.point_offsets)
         again = regularised(replace(options, size_sweeps=(100,)))
         state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & at & elsewhere)
+    if o.may_flip:
+        # Where fewer triangles are inverted than before, cavities round them are smaller, and may have a boundary that
+        # does not cross itself, as in strips that lie over themselves.
+        fewer = state.quality.inverted < before
+        state, _ = run(
+            "flip", attempt(flip(FlipOptions(max_rounds=o.rounds.flip_rounds))), state, state.tangled & fewer
+        )
+        state, _ = run("retriangulate", attempt(retriangulate()), state, state.tangled & fewer)
     return replace(state, averaged=None)
 
 
