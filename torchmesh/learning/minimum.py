@@ -204,7 +204,8 @@ class _Problem:
         return torch.where(segment_any(~(det > 0), offsets), torch.inf, segment_sum(phi, offsets))
 
     def hessian(self, x: Tensor) -> Hessian:
-        return Hessian.at(torch.cat([x, self.packing.anchored]), self.packing.rows, self.energy, self.target)
+        coordinates, packing = torch.cat([x, self.packing.anchored]), self.packing
+        return Hessian.at(coordinates, packing.rows, self.energy, self.target, packing.triangle_offsets)
 
     def largest_move(self, direction: Tensor) -> Tensor:
         """(B,) how far the vertex that moves farthest goes, in local edge lengths."""

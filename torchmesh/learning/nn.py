@@ -133,15 +133,17 @@ class Untangle(_Layer):
     """
 
     def _valid(self, given: MeshBatch, unfit: Tensor) -> tuple[MeshBatch, Tensor]:
-        problems = diagnose(given)
-        hopeless = unfit.clone()
-        hopeless[[problem.mesh for problem in problems]] = True
-        if self.on_failure == "raise" and problems:
-            raise InvalidMeshError(f"mesh {problems[0].mesh} cannot be untangled: {problems[0].message}")
         better = given
-        if not bool(hopeless.all()):
-            better = put(given, ~hopeless, untangle(given.select(~hopeless), self.options.untangle)[0])
+        if not bool(unfit.all()):
+            better = put(given, ~unfit, untangle(given.select(~unfit), self.options.untangle)[0])
         failed = segment_any(~upright(better), better.triangle_offsets)
+        # Why a mesh stays tangled is asked of the few that do.
+        problems = diagnose(given.select(failed)) if bool(failed.any()) else []
+        hopeless = unfit.clone()
+        hopeless[failed.nonzero().squeeze(1)[[problem.mesh for problem in problems]]] = True
+        if self.on_failure == "raise" and problems:
+            b = int(failed.nonzero()[problems[0].mesh])
+            raise InvalidMeshError(f"mesh {b} cannot be untangled: {problems[0].message}")
         if self.on_failure == "raise" and bool(failed.any()):
             raise ConvergenceError(
                 f"meshes {failed.nonzero().squeeze(1).tolist()[:10]} were not untangled with these triangles; "

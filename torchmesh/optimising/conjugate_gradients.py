@@ -6,7 +6,7 @@ Sparse Linear Systems, 2003, algorithm 9.1.  The result of a system does not dep
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -27,6 +27,17 @@ class SymmetricOperator(Matrix, Protocol):
     def size(self) -> int: ...
 
     def diagonal(self) -> Tensor: ...
+
+
+@runtime_checkable
+class Solvable(Protocol):
+    """A matrix for whose systems there may be a compiled solver."""
+
+    def solved(
+        self, right: Tensor, diagonal: Tensor, offsets: Tensor, tolerance: Tensor | float, max_iterations: int
+    ) -> tuple[Tensor, Tensor, Tensor] | None:
+        """The fields of `Solution`; None where torch is to do the work.  Arguments as those of `solve`."""
+        ...
 
 
 class Iterate(NamedTuple):
@@ -117,6 +128,10 @@ def solve(
                part of what it was
     """
     diagonal = matrix.diagonal()[: len(right)].abs()
+    if isinstance(matrix, Solvable):
+        found = matrix.solved(right, diagonal, offsets, tolerance, max_iterations)
+        if found is not None:
+            return Solution(*found)
     systems = Systems(_Leading(matrix, len(right)), torch.where(diagonal > 0, diagonal, torch.inf), offsets)
     now = systems.start(torch.zeros_like(right), right)
     goal = now.power * tolerance**2

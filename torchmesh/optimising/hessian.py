@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..kernels.hessian import solved
+from ..kernels.library import library_for
 from ..mesh.triangle import Corners
 from .energies import Energy, slopes_and_curvatures
 from .jacobian import (
@@ -38,6 +40,7 @@ class Hessian:
     target  of the energy
     slopes  (2, T) phi by stretch and by det
     curvatures  (3, T) phi by stretch twice, by stretch and det, by det twice
+    triangle_offsets  (B+1,) the triangles of each of several meshes that share no unknown; None: nobody knows
     """
 
     rows: Tensor
@@ -46,14 +49,33 @@ class Hessian:
     target: Target
     slopes: Tensor
     curvatures: Tensor
+    triangle_offsets: Tensor | None = None
 
     @classmethod
-    def at(cls, coordinates: Tensor, rows: Tensor, energy: Energy, target: Target) -> "Hessian":
+    def at(
+        cls,
+        coordinates: Tensor,
+        rows: Tensor,
+        energy: Energy,
+        target: Target,
+        triangle_offsets: Tensor | None = None,
+    ) -> "Hessian":
         """At `coordinates` (N,); the curvatures are those of the energy's `value`, by autograd."""
         rows = rows.long()
         t = Corners(*coordinates.detach()[rows])
         edges = torch.stack(edge_coordinates(t)).view(2, 2, -1)
-        return cls(rows, len(coordinates), edges, target, *slopes_and_curvatures(energy, *invariants(t, target)))
+        derivatives = slopes_and_curvatures(energy, *invariants(t, target))
+        return cls(rows, len(coordinates), edges, target, *derivatives, triangle_offsets)
+
+    def solved(
+        self, right: Tensor, diagonal: Tensor, offsets: Tensor, tolerance: Tensor | float, max_iterations: int
+    ) -> tuple[Tensor, Tensor, Tensor] | None:
+        """What the compiled solver finds, as in `conjugate_gradients.solve`; None where torch is to do the work."""
+        if self.triangle_offsets is None or right.dtype != torch.float64 or library_for(right) is None:
+            return None
+        triangles = self.rows, self.edges, self.slopes, self.curvatures
+        known = triangles, self.target, self.triangle_offsets
+        return solved(*known, offsets, diagonal, right, tolerance, max_iterations)
 
     def __matmul__(self, u: Tensor) -> Tensor:
         """(N,) the product with u (N,)."""
