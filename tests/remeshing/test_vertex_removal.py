@@ -1,6 +1,7 @@
 """Vertices that have no room are taken out under topology "full", with all that hangs on their names."""
 
 import dataclasses
+import functools
 
 import meshes
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from exact import inverted
 from scipy.spatial import Delaunay
 
-from torchmesh import ImproveOptions, MeshBatch, RemeshOptions, Status, improve, join
+from torchmesh import ImproveOptions, MeshBatch, RemeshOptions, Report, Status, improve, join
 from torchmesh.mesh.connectivity import boundary_edges, euler_number, twins
 from torchmesh.mesh.vertex_map import Names
 from torchmesh.remeshing.sizing import size_field
@@ -44,6 +45,13 @@ def crowded(side, free, seed=0, wall=False):
     return mesh.with_points(torch.from_numpy(positions * side + FAR))
 
 
+@functools.cache
+def improved_alone(side: int, free: int) -> tuple[MeshBatch, MeshBatch, Report]:
+    """A crowded mesh before and after under topology "full": made once for all tests, which change nothing of it."""
+    mesh = crowded(side, free)
+    return mesh, *improve(mesh, ImproveOptions(topology="full"))
+
+
 @pytest.mark.parametrize(("side", "free"), [(2, 5), (4, 12), (8, 70)])
 def test_where_floats_have_no_room_full_takes_vertices_out(side, free):
     mesh = crowded(side, free)
@@ -51,7 +59,7 @@ def test_where_floats_have_no_room_full_takes_vertices_out(side, free):
     assert report.status.tolist() == [Status.STALLED]
     assert "no room between floating-point numbers" in report.messages[0]
     assert "inverted triangles are left after average" in report.messages[0]
-    after, report = improve(mesh, ImproveOptions(topology="full"))
+    mesh, after, report = improved_alone(side, free)
     assert inverted(after) == 0
     assert report.certified.tolist() == [True]
     assert report.status.tolist() == [Status.SETTLED]
@@ -79,13 +87,14 @@ def test_walls_and_fixed_vertices_stay():
 
 
 def test_joined_equals_alone_to_the_bit():
-    batch = [meshes.jittered(6, 5, 0.5, 0), crowded(4, 12), meshes.grid(3, 3), crowded(8, 70)]
-    options = ImproveOptions(topology="full", remesh=RemeshOptions(max_rounds=3))
-    together, report = improve(join(batch), options)
+    options = ImproveOptions(topology="full")
+    parts = [(mesh, *improve(mesh, options)) for mesh in (meshes.jittered(6, 5, 0.5, 0), meshes.grid(3, 3))]
+    parts += [improved_alone(4, 12), improved_alone(8, 70)]
+    batch = join([mesh for mesh, _, _ in parts])
+    together, report = improve(batch, options)
     assert bool(report.certified.all())
-    maps = report.vertex_map.split(join(batch), together)
-    for mesh, after, vertex_map in zip(batch, together.split(), maps, strict=True):
-        alone, by_itself = improve(mesh, options)
+    maps = report.vertex_map.split(batch, together)
+    for (_, alone, by_itself), after, vertex_map in zip(parts, together.split(), maps, strict=True):
         assert torch.equal(after.points, alone.points)
         assert torch.equal(after.triangles, alone.triangles)
         assert torch.equal(vertex_map.old_to_new, by_itself.vertex_map.old_to_new)
