@@ -85,7 +85,7 @@ def test_layers_are_what_is_meant():
     mesh = plain.with_points(plain.points / radius * heights)
     assert float(quality(mesh).max[0]) > 100
     state = State.of(mesh, damage())
-    assert not damaged(state, Meant.of(state), Damage()).any()
+    assert not damaged(state, Meant.of(state), damage()).any()
 
 
 def test_a_bad_triangle_is_mended_though_none_is_inverted():

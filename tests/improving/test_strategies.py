@@ -17,7 +17,7 @@ FLIPS = ["untangle_with_flips", "untangle_by_retriangulation"]
 KEPT = ["untangle_with_triangles_kept", "end_the_tangled"]
 GOOD = ["flip_and_smooth", "smooth_at_last", "better_the_sound"]
 USUAL = [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]
-END = ["compare_sizes", "certify"]
+END = ["without_little_gains", "compare_sizes", "certify"]
 FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
 
 
@@ -31,7 +31,7 @@ FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
             ImproveOptions(topology="keep"),
             [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last", "better_the_sound", *END],
         ),
-        (ImproveOptions(topology="full"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", *FULL, *END]),
+        (ImproveOptions(topology="full"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", *FULL, *END[1:]]),
         (
             ImproveOptions(boundary="slide"),
             [*USUAL, *END],

@@ -25,7 +25,8 @@ from ..optimising.targets import Targets, target_from, target_quality
 from ..status import Status
 from .columns import Edits
 from .faults import end_the_tangled, find_faults
-from .options import Damage, ImproveOptions
+from .needed import beyond, limits_of
+from .options import ImproveOptions
 from .parts import Parts, PartsLog, Pasted, paste
 from .runner import Log, Runner
 from .state import State
@@ -35,9 +36,14 @@ from .strategies import certify, compare_sizes, improve_batch
 def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
     """The whole job on parts round the damage of each mesh; all else, and meshes without damage, keep their bits."""
     mending = Mending.begin(state, options)
-    while (found := mending.next_parts()) is not None:
-        parts, tries, how = found
-        mending = mending.after(parts, tries, _worked_on(mending, parts, how, log))
+    # A pass that puts nothing back is what another call would be, so that a call on its own result changes nothing.
+    for turn in range(options.damage.passes):
+        begun, mending = mending.state, mending.afresh() if turn else mending
+        while (found := mending.next_parts()) is not None:
+            parts, tries, how = found
+            mending = mending.after(parts, tries, _worked_on(mending, parts, how, log))
+        if mending.state.mesh is begun.mesh:
+            break
     run, state = Runner(log), mending.ended()
     state = end_the_tangled(find_faults(state, run, options), run, options)
     state = state.ended(state.running, Status.STALLED)
@@ -145,10 +151,20 @@ class Mending:
         slides = None if state.curves is None else state.curves.may_slide(state.mesh.point_offsets)
         return cls(state, options, Meant.of(state), sizes, slides, none.long(), none, none.clone())
 
+    def afresh(self) -> "Mending":
+        """The same, as if the meshes that are valid had been given like this."""
+        meant = Meant.of(self.state) if self.state.names is None else self.meant
+        valid = spread(self.state.valid, self.state.mesh.triangle_offsets)
+        return replace(self, meant=meant, tries=torch.where(valid, 0, self.tries), closed=self.closed & ~valid)
+
     def next_parts(self) -> tuple[Parts, Tensor, "How"] | None:
         """Parts to work on in the same way, (P,) how often they have been tried, and that way; None: none is left."""
         mesh, o = self.state.mesh, self.options.damage
-        bad = damaged(self.state, self.meant, o) & ~self.closed & spread(self.state.running, mesh.triangle_offsets)
+        bad = (
+            damaged(self.state, self.meant, self.options)
+            & ~self.closed
+            & spread(self.state.running, mesh.triangle_offsets)
+        )
         if not bool(bad.any()):
             return None
         free = torch.zeros(len(mesh.points), dtype=torch.bool, device=bad.device)
@@ -172,9 +188,11 @@ class Mending:
     def after(self, parts: Parts, tries: Tensor, after: State) -> "Mending":
         """What has been mended once the `parts` have become `after`; `tries` (P,) is how often they had been tried."""
         o, upright = self.options.damage, self.state.quality.upright
-        bad = damaged(self.state, self.meant, o)
+        spared = None if self.options.when is None else Spared.of(self.state)
+        bad = damaged(self.state, self.meant, self.options, spared)
         poor, inverted = parts.of_triangles(bad & upright), parts.of_triangles(~upright)
-        still = damaged(after, self._meant_in(parts, after), o) & after.quality.upright
+        spared = None if spared is None else spared.narrowed(parts, after)
+        still = damaged(after, self._meant_in(parts, after), self.options, spared) & after.quality.upright
         left = segment_count(still, after.mesh.triangle_offsets)
         fits = ~parts.clash(after)
         sound = fits & after.valid & after.certified
@@ -282,9 +300,46 @@ class How:
         return [cls(*pair) for pair in zip(stretched.tolist(), referred.tolist(), strict=True)]
 
 
-def damaged(state: State, meant: Meant, options: Damage) -> Tensor:
-    """(T,) bool: the triangles that are inverted, or much worse than the shape that is meant at their place."""
-    return ~state.quality.upright | (meant.ratio(state.mesh) > options.worse)
+def damaged(state: State, meant: Meant, options: ImproveOptions, spared: "Spared | None" = None) -> Tensor:
+    """(T,) bool: the triangles that are inverted, or much worse than the shape that is meant at their place.
+
+    spared  what does not count as damage where `options.when` says what does; None: what is true of `state` itself
+    """
+    if options.when is None:
+        return ~state.quality.upright | (meant.ratio(state.mesh) > options.damage.worse)
+    spared = spared or Spared.of(state)
+    bad = beyond(state.mesh, state.quality, options.when, spared.triangles, spared.limits)
+    metric = meant.of_vertices
+    if metric is None or not bool(bad.any()):
+        return bad
+    # Where stretched shapes are meant, the bound would find fault with what is as it should be.
+    stretched = (0.5 * (metric[:, 0] + metric[:, 2]) > options.damage.stretched)[state.mesh.triangles].all(1)
+    return bad & (~state.quality.upright | ~stretched | (meant.ratio(state.mesh) > options.damage.worse))
+
+
+@dataclass(frozen=True, eq=False)
+class Spared:
+    """What cannot be better, and is no damage for that.
+
+    triangles  (T,) bool, those that nothing can change; None: there are none
+    limits     what the boundary allows at each vertex, (V,) radians and (V,) inverse mean ratios
+    """
+
+    triangles: Tensor | None
+    limits: tuple[Tensor, Tensor]
+
+    @classmethod
+    def of(cls, state: State) -> "Spared":
+        """What is spared in whole meshes."""
+        return cls(state.unchangeable, limits_of(state.mesh))
+
+    def narrowed(self, parts: Parts, after: State) -> "Spared":
+        """The same for the parts, that were cut out of these meshes, as they are in `after`."""
+        angle, ratio = (limit[parts.vertices] for limit in self.limits)
+        if after.names is not None:
+            onward = after.vertex_names.vertex_map()
+            return Spared(after.unchangeable, (onward.carry(angle), onward.carry(ratio)))
+        return Spared(None if self.triangles is None else self.triangles[parts.triangles], (angle, ratio))
 
 
 def _worked_on(mending: Mending, parts: Parts, how: How, log: Log) -> State:
@@ -296,6 +351,9 @@ def _worked_on(mending: Mending, parts: Parts, how: How, log: Log) -> State:
         hold = hold | ~mending.slides[parts.vertices]
     part = State.of(parts.mesh, options, hold)
     part = replace(part, tethered=part.valid & mending.options.stays_near)
+    if options.max_motion is not None and state.names is None:
+        anchors, widths = state.anchors[parts.vertices], state.widths[parts.vertices]
+        part = replace(part, origin=replace(part.origin, anchors=anchors, anchor_widths=widths))
     names, every = state.vertex_names, torch.ones_like(parts.whole)
 
     def whole(now: State) -> MeshBatch:
@@ -316,6 +374,7 @@ def _options_for(mending: Mending, parts: Parts, how: How) -> ImproveOptions:
     return replace(
         options,
         scope="all",
+        when=None,
         local_repair=None,
         smooth=replace(options.smooth, targets=aim),
         remesh=replace(options.remesh, sizes=sizes),

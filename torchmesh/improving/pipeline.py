@@ -25,6 +25,7 @@ from .faults import INTERFACES_HELD
 from .forked import can_fork, in_processes, one_thread
 from .layers import keeping_layers
 from .local_repair import on_submeshes
+from .needed import where_needed
 from .options import ImproveOptions
 from .report import Progress, Report, left_over
 from .runner import Job, Log
@@ -165,8 +166,11 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
         job = on_submeshes(job, options)
     if options.keeps_shapes:
         # With scope "damage", `improve_damage` itself sees to stretched meshes.
-        job = keeping_layers(keeping_stretch(job, options) if options.scope == "all" else job)
-    return in_processes(job, workers) if workers > 1 else job
+        inner = keeping_stretch(job, options) if options.scope == "all" else job
+        # A mesh may be within the bound but for the layers that are held.
+        job = keeping_layers(where_needed(inner, options))
+    job = in_processes(job, workers) if workers > 1 else job
+    return where_needed(job, options)
 
 
 def report_on(state: State, log: Log, options: ImproveOptions) -> Report:

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch, put
 from ..mesh.curves import BoundaryCurves
+from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.means import local_widths
 from ..mesh.measure import Quality, quality
@@ -44,6 +45,9 @@ class Given:
     interfaces  what becomes of the vertices on interfaces
     walls      gives, by name, edges (K, 2) that messages call so: layers over them are told by these names
     layers     (V,) bool, the vertices of layers that are held, with the walls below; None: no layer is held
+    tether     how many local widths vertices may move in meshes that are tethered
+    anchors    (V, 2) the positions from which that is measured; None: those of `mesh`
+    anchor_widths  (V,) the local widths there; None: those of `mesh`
     """
 
     mesh: MeshBatch
@@ -53,11 +57,14 @@ class Given:
     interfaces: Interfaces
     walls: Callable[[], Mapping[str, Tensor]] = dict
     layers: Tensor | None = None
+    tether: float = 1.0
+    anchors: Tensor | None = None
+    anchor_widths: Tensor | None = None
 
     @cached_property
     def widths(self) -> Tensor:
         """(V,) how wide the mesh is at each vertex, the mean length of its edges there."""
-        return local_widths(self.mesh)
+        return local_widths(self.mesh) if self.anchor_widths is None else self.anchor_widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +83,7 @@ class State:
     notes      for each mesh what the report says besides, or ""
     failures   for each mesh the stages that ended with an error, and the errors
     certified  (B,) bool, set at the end: the mesh is valid and its frame is the one given
-    tethered   (B,) bool, the mesh came valid and nothing was asked for that takes vertices far
+    tethered   (B,) bool, the vertices stay near: the mesh came valid and nothing was asked for that takes them far
     curves     the curves along which vertices slide, and where they are on them; None: none slides
     targets    what shapes to aim at; None: equilateral triangles
     averaged   (V, 2) where averaging took the vertices that were given; None: it was not tried
@@ -147,6 +154,7 @@ class State:
             sizes if isinstance(sizes, Tensor) else None,
             stays if curves is None else stays & ~curves.may_slide(batch.point_offsets),
             options.at_interfaces,
+            tether=options.tether,
         )
         count, device = len(batch), batch.points.device
         q = quality(batch) if known is None else known
@@ -178,20 +186,32 @@ class State:
 
     @property
     def judged(self) -> Quality:
-        """The quality by which it is decided what to do: that of the triangles outside the layers that are held.
+        """The quality by which it is decided what to do: that of the triangles that something can change.
 
-        A triangle of such a layer counts as ideal, and does not enter the mean.
+        A triangle of a layer that is held, or one that is frozen, counts as ideal and does not enter the mean.
         """
-        if self.origin.layers is None:
+        out = self.unchangeable
+        if out is None:
             return self.quality
-        names, q, offsets = self.vertex_names, self.quality, self.mesh.triangle_offsets
+        q, offsets = self.quality, self.mesh.triangle_offsets
+        ratio = torch.where(out, 1.0, q.inverse_mean_ratio)
+        left = segment_count(~out, offsets)
+        mean = segment_sum(torch.where(out, 0.0, ratio), offsets) / left.clamp_min(1)
+        mean = torch.where(left > 0, mean, 1.0)
+        return replace(q, inverse_mean_ratio=ratio, mean=mean, max=segment_max(ratio, offsets))
+
+    @property
+    def unchangeable(self) -> Tensor | None:
+        """(T,) bool, the triangles of layers that are held, and those that are frozen; None: there are none."""
+        out = None
+        if len(self.mesh.constrained_edges) and self.curves is None:
+            out = frozen_triangles(self.mesh, holding(self.mesh, self.origin.interfaces).fixed)
+        if self.origin.layers is None:
+            return out
+        names = self.vertex_names
         layers = (names.of < names.first) & self.origin.layers[names.of.clamp_max(names.first - 1)]
         inside = layers[self.mesh.triangles].all(1)
-        ratio = torch.where(inside, 1.0, q.inverse_mean_ratio)
-        outside = segment_count(~inside, offsets)
-        mean = segment_sum(torch.where(inside, 0.0, ratio), offsets) / outside.clamp_min(1)
-        mean = torch.where(outside > 0, mean, 1.0)
-        return replace(q, inverse_mean_ratio=ratio, mean=mean, max=segment_max(ratio, offsets))
+        return inside if out is None else out | inside
 
     @property
     def running(self) -> Tensor:
@@ -222,6 +242,12 @@ class State:
     def widths(self) -> Tensor:
         """(V,) how wide these meshes were at the vertices given: the mean length of the edges there."""
         return self.of_given_vertices(self.origin.widths)
+
+    @property
+    def anchors(self) -> Tensor:
+        """(V, 2) the positions from which the motion of vertices is measured."""
+        at = self.origin.anchors
+        return self.given.points if at is None else self.of_given_vertices(at)
 
     @property
     def vertex_names(self) -> Names:

@@ -30,13 +30,14 @@ from ..remeshing.criteria import crowded
 from ..remeshing.metric_sizing import metric_conformity
 from ..remeshing.options import RemeshOptions
 from ..remeshing.sizing import SizeConformity, size_conformity, size_field
-from ..smoothing.polishing import bad_triangles
+from ..smoothing.polishing import PolishOptions, bad_triangles
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
 from ..untangling.gathering import gathered
 from ..untangling.options import UntangleOptions
 from .faults import end_the_tangled, find_faults, taken_back
-from .options import ImproveOptions
+from .gains import where_it_pays, without_little_gains
+from .options import ImproveOptions, LeastGain
 from .runner import Log, Runner, Stage, Work
 from .stages import (
     attempt,
@@ -55,7 +56,7 @@ from .stages import (
 )
 from .state import State
 from .stopping import Gain, Stall, settled
-from .travel import tethered
+from .travel import tethered, tied
 
 Step = Callable[[State, Runner], State]
 
@@ -88,6 +89,8 @@ def strategy(o: ImproveOptions) -> list[Step]:
         steps += [polish_the_worst]
     if o.topology == "full":
         steps += [remove_where_there_is_no_room, remesh_the_valid]
+    if o.weighs_gains:
+        steps += [without_little_gains]
     return [partial(step, o=o) for step in [*steps, compare_sizes, certify]]
 
 
@@ -186,6 +189,7 @@ def _averaged(state: State) -> MeshBatch:
 
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:
     """Meshes with triangles that are all but flat are smoothed by q first: in q^2 these would outweigh all others."""
+    state = tied(state, o)
     first = SmoothOptions(power=1, max_iterations=200, energy_tolerance=1e-3)
     return run("smooth", tethered(smooth(first)), state, state.valid & (state.judged.max > o.refine.sliver))[0]
 
@@ -222,15 +226,23 @@ def _round_flips(before: State, after: State) -> Tensor:
 
 
 def smooth_in_fitting_precision(
-    state: State, run: Runner, o: ImproveOptions, options: SmoothOptions, at: Tensor
+    state: State, run: Runner, o: ImproveOptions, options: SmoothOptions, at: Tensor, least: LeastGain | None = None
 ) -> State:
-    """Smooth the meshes `at`, those with very poor triangles in double precision whatever the options say."""
+    """Smooth the meshes `at`, those with very poor triangles in double precision whatever the options say.
+
+    least  meshes that would gain less than this stay as they are
+    """
+
+    def stage(options: SmoothOptions) -> Stage:
+        done = tethered(smooth(options))
+        return done if least is None else where_it_pays(done, least, o.polish or PolishOptions())
+
     if options.single:
         # The eighth power of a sliver's ratio, in the ceiling, leaves the range of single precision.
         poor = at & (state.judged.max > o.refine.coarse)
-        state, _ = run("smooth", tethered(smooth(replace(options, single=False))), state, poor)
+        state, _ = run("smooth", stage(replace(options, single=False)), state, poor)
         at = at & ~poor
-    return run("smooth", tethered(smooth(options)), state, at)[0]
+    return run("smooth", stage(options), state, at)[0]
 
 
 def smooth_at_last(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -238,8 +250,29 @@ def smooth_at_last(state: State, run: Runner, o: ImproveOptions) -> State:
     last = (
         replace(o.smooth, max_iterations=min(o.smooth.max_iterations, o.refine.last_steps)) if o.may_flip else o.smooth
     )
-    state = smooth_in_fitting_precision(state, run, o, last, state.valid)
+    if o.may_flip or not o.weighs_gains:
+        state = smooth_in_fitting_precision(state, run, o, last, state.valid)
+    else:
+        state = smooth_while_it_pays(state, run, o, last)
     return state.ended(state.running, Status.SETTLED)
+
+
+def smooth_while_it_pays(state: State, run: Runner, o: ImproveOptions, last: SmoothOptions) -> State:
+    """The last smoothing, and again in meshes that are poor, until they gain too little by it.
+
+    Meshes that came valid must gain by the first one, too: what a call ends with is what the next call begins with.
+    """
+    poor = state.valid & (state.judged.max > (o.polish or PolishOptions()).ratio)
+    again = poor & (state.inverted_given == 0)
+    state = smooth_in_fitting_precision(state, run, o, last, state.valid & ~again)
+    again = poor
+    for _ in range(o.refine.kept_again):
+        if not bool(again.any()):
+            break
+        before, state = state, smooth_in_fitting_precision(state, run, o, last, again, o.least_gain)
+        moved = segment_any((state.mesh.points != before.mesh.points).any(1), state.mesh.point_offsets)
+        again = again & moved
+    return state
 
 
 def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:

@@ -2,8 +2,8 @@
 
    o - - given position
   / \\      The local width is the mean length of the edges at a vertex in the mesh as given.  A vertex of a mesh
-(  o  )     that came valid stays within one local width of where it was: a stage that would take some further
-  \\ /      is run again with these vertices held where they were before the stage.
+(  o  )     that came valid stays within one local width of where it was, or within `ImproveOptions.max_motion`: a
+  \\ /      stage that would take some further is run again with these vertices held where they were before it.
    -
 """
 
@@ -21,6 +21,7 @@ from ..mesh.ragged import (
     spread,
 )
 from ..optimising.moves import Monitor
+from .options import ImproveOptions
 from .report import Travel
 from .runner import Stage, Work
 from .state import State
@@ -31,6 +32,8 @@ _TRIES = 6
 
 def travel_of(state: State) -> Travel:
     """How far the vertices of the meshes are from where they were given."""
+    if state.names is None and torch.equal(state.mesh.points, state.given.points):
+        return Travel(*torch.zeros(3, len(state), dtype=torch.float64, device=state.meshes.device))
     given, widths = state.given, state.widths
     row = torch.arange(len(given.points), device=widths.device)
     if state.names is not None:
@@ -47,16 +50,21 @@ def travel_of(state: State) -> Travel:
 
 
 def tethered(stage: Stage) -> Stage:
-    """`stage`, but the vertices of meshes that came valid stay within a local width of where they were given."""
+    """`stage`, but the vertices of meshes that are tethered stay within some local widths of where they were given."""
 
     def stage_on_a_tether(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         done, work = stage(state, monitor)
         if not bool(state.tethered.any()):
             return done, work
-        given, widths = state.given.points, state.widths
+        given, widths, before = state.anchors, state.widths, None
         held = torch.zeros_like(state.mesh.fixed)
         for turn in range(_TRIES + 1):
-            too_far = _in_widths(given, done.mesh.points, widths) > 1
+            far = _in_widths(given, done.mesh.points, widths)
+            too_far = far > state.origin.tether
+            if bool(too_far.any()) and before is None:
+                before = _in_widths(given, state.mesh.points, widths)
+            # What was further away before the stage, as in a mesh that came tangled, may only come nearer.
+            too_far &= far > (before if before is not None else 0.0)
             too_far &= spread(state.tethered, state.mesh.point_offsets)
             again = segment_any(too_far, state.mesh.point_offsets)
             if not bool(again.any()):
@@ -69,6 +77,11 @@ def tethered(stage: Stage) -> Stage:
         return done, work
 
     return stage_on_a_tether
+
+
+def tied(state: State, o: ImproveOptions) -> State:
+    """The state in which meshes that have become valid are tethered, too, if `max_motion` is given."""
+    return state if o.max_motion is None else replace(state, tethered=state.tethered | state.valid)
 
 
 def _in_widths(before: Tensor, after: Tensor, widths: Tensor) -> Tensor:

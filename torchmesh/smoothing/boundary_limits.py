@@ -53,6 +53,21 @@ def fan_limits(batch: MeshBatch, complete: Tensor) -> tuple[Tensor, Tensor]:
     return angle_limit, ratio_limit
 
 
+def asked_of(
+    batch: MeshBatch, limits: tuple[Tensor, Tensor], angle: float, ratio: float, share: float
+) -> tuple[Tensor, Tensor]:
+    """(T,) radians and (T,) inverse mean ratios that may be asked of each triangle: less where the boundary is sharp.
+
+    limits        what `fan_limits` says
+    angle, ratio  what is asked, in radians and as an inverse mean ratio
+    share         where the boundary allows less than that, this part of what it allows suffices
+    """
+    corner = [v.contiguous() for v in batch.triangles.unbind(1)]
+    least = torch.stack([limits[0].index_select(0, v) for v in corner]).amin(0)
+    most = torch.stack([limits[1].index_select(0, v) for v in corner]).amax(0)
+    return torch.where(least < angle, share * least, angle), torch.where(most > ratio, most / share, ratio)
+
+
 def _best_fans(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N,) smallest angle in radians and (N,) largest ratio of the best fans from the sides `first` to `last` (N, 2).
 

@@ -23,6 +23,7 @@ from ..mesh import triangle
 from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import touching
 from ..mesh.detached import without_autograd
+from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.measure import Quality, quality, shapes
 from ..mesh.neighbourhoods import surroundings
@@ -39,7 +40,7 @@ from ..mesh.ragged import (
 )
 from ..mesh.submesh import picked, submesh
 from ..mesh.triangle import SQRT3, corners
-from .boundary_limits import fan_limits
+from .boundary_limits import asked_of, fan_limits
 from .patches import Patches, every_flip, seeds_of
 from .smoothing import SmoothOptions, smooth
 
@@ -145,11 +146,14 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
     options = options or PolishOptions()
     none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
     bad = bad_triangles(batch, quality(batch), options)
+    # Within, `fixed` says all that stays.
+    held = holding(batch, options.interfaces)
+    if bool(bad.any()):
+        bad = bad & ~frozen_triangles(held)
     if not bool(bad.any()):
         return batch, PolishInfo(none, none.clone())
-    # Within, `fixed` says all that stays.
     free = replace(options, smooth=replace(options.smooth, interfaces="free"))
-    work = _Polishing(holding(batch, options.interfaces), bad, free)
+    work = _Polishing(held, bad, free)
     for level in options.levels:
         work.run(level)
     return released(work.whole(), batch), PolishInfo(work.patches, work.flips)
@@ -182,6 +186,7 @@ class _Polishing:
     mesh      what they have become; its outermost vertices are fixed
     complete  (V',) bool, all triangles at the vertex are in it
     stuck     (T',) bool, the triangle was tried in vain, and nothing near it has changed since
+    frozen    (T',) bool, nothing can change the triangle
     """
 
     def __init__(self, batch: MeshBatch, bad: Tensor, options: PolishOptions) -> None:
@@ -194,16 +199,13 @@ class _Polishing:
         self.complete = near[self.taken.vertices]
         self.mesh = replace(self.taken.mesh, fixed=self.taken.mesh.fixed | ~self.complete)
         self.stuck = torch.zeros(len(self.mesh.triangles), dtype=torch.bool, device=bad.device)
-        self.angle_limit, self.ratio_limit = fan_limits(self.mesh, self.complete)
+        self.limits = fan_limits(self.mesh, self.complete)
+        self.frozen = frozen_triangles(batch)[self.taken.triangles]
 
     def asked(self) -> tuple[Tensor, Tensor]:
         """(T',) radians and inverse mean ratios beyond which triangles are bad, less strict where the boundary is."""
-        options, corner = self.options, [v.contiguous() for v in self.mesh.triangles.unbind(1)]
-        angle = torch.stack([self.angle_limit.index_select(0, v) for v in corner]).amin(0)
-        ratio = torch.stack([self.ratio_limit.index_select(0, v) for v in corner]).amax(0)
-        wanted = math.radians(options.angle)
-        angle = torch.where(angle < wanted, options.limit_share * angle, wanted)
-        return angle, torch.where(ratio > options.ratio, ratio / options.limit_share, options.ratio)
+        options = self.options
+        return asked_of(self.mesh, self.limits, math.radians(options.angle), options.ratio, options.limit_share)
 
     def whole(self) -> MeshBatch:
         """The batch with what was improved."""
@@ -212,7 +214,7 @@ class _Polishing:
     def run(self, level: PolishLevel) -> None:
         """Rounds of this level until every bad triangle is good or was tried in vain."""
         most = (level.share * counts_from_offsets(self.batch.triangle_offsets)).clamp_min(level.most)
-        self.stuck = torch.zeros_like(self.stuck)
+        self.stuck = self.frozen.clone()
         for turn in range(self.options.max_rounds):
             mesh = self.mesh
             (angle, ratio), (least, most_ratio) = shapes(mesh), self.asked()
@@ -238,7 +240,7 @@ class _Polishing:
         better = torch.zeros_like(bad).index_fill_(0, seeds[good], True)
         good &= torch.isin(seeds, seeds_of(mesh, better, angle, apart))
         changed = self._put(patches, best, good)
-        self.stuck &= ~touching(mesh.triangles, surroundings(mesh, changed, level.rings))
+        self.stuck &= ~touching(mesh.triangles, surroundings(mesh, changed, level.rings)) | self.frozen
         owner = triangle_mesh(mesh)[seeds[good]]
         self.patches += torch.bincount(owner, minlength=len(mesh))
         self.flips.index_add_(0, owner, flips[good])

@@ -1,0 +1,87 @@
+"""What need not be worked on: meshes within the bound `ImproveOptions.when` come back to the bit.
+
+Triangles that nothing can better do not count: frozen ones, those of layers that are held, and those at boundary
+corners that allow no better.
+"""
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..mesh import triangle
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import Quality
+from ..mesh.ragged import segment_any
+from ..mesh.triangle import SQRT3, corners
+from ..smoothing.boundary_limits import asked_of, fan_limits
+from ..status import Status
+from .options import Bound, ImproveOptions
+from .runner import Job, Log, Runner
+from .state import State
+from .strategies import compare_sizes
+
+
+def beyond(
+    mesh: MeshBatch,
+    q: Quality,
+    bound: Bound,
+    unchangeable: Tensor | None = None,
+    limits: tuple[Tensor, Tensor] | None = None,
+) -> Tensor:
+    """(T,) bool: the triangles that are beyond the bound; inverted ones are.
+
+    q             the quality of the mesh
+    unchangeable  (T,) bool, upright triangles that do not count
+    limits        what the boundary allows at each vertex; None: `fan_limits` of the mesh
+
+    Among triangles with the angle t the isosceles one has the lowest inverse mean ratio, (2 - cos t) / (sqrt(3) sin t):
+    in triangles below this ratio no angle need be measured.
+    """
+    t = math.radians(bound.angle)
+    least = min((2 - math.cos(t)) / (SQRT3 * math.sin(t)), bound.ratio) if t else bound.ratio
+    worse = q.upright & (q.inverse_mean_ratio > least)
+    if unchangeable is not None:
+        worse &= ~unchangeable
+    rows = worse.nonzero().squeeze(1)
+    if not len(rows):
+        return ~q.upright
+    angle = triangle.minimum_angle(corners(mesh.points.to(torch.float64), mesh.triangles.index_select(0, rows)))
+    ratio = q.inverse_mean_ratio.index_select(0, rows)
+    bad = (angle < t) | (ratio > bound.ratio)
+    if bool(bad.any()):
+        limits = limits_of(mesh) if limits is None else limits
+        few = replace(mesh, triangles=mesh.triangles.index_select(0, rows))
+        asked, most = asked_of(few, limits, t, bound.ratio, bound.limit_share)
+        bad = (angle < asked) | (ratio > most)
+    return (~q.upright).index_put((rows,), bad)
+
+
+def limits_of(mesh: MeshBatch) -> tuple[Tensor, Tensor]:
+    """What the boundary of a whole mesh allows at its vertices: `fan_limits`."""
+    return fan_limits(mesh, torch.ones_like(mesh.fixed))
+
+
+def where_needed(job: Job, options: ImproveOptions) -> Job:
+    """The job that does `job` on the meshes beyond `options.when`; the others end as they are."""
+    bound = options.when
+    if bound is None:
+        return job
+
+    def work(state: State, log: Log) -> State:
+        bad = beyond(state.mesh, state.quality, bound, state.unchangeable)
+        rest = state.running & ~segment_any(bad, state.mesh.triangle_offsets)
+        if not bool(rest.any()):
+            return job(state, log)
+        done = state
+        if not bool(rest.all()):
+            done = done.put(~rest, job(state.select(~rest), log.of_meshes(done.mesh, ~rest)))
+        part = state.select(rest).naming_after(done)
+        note = dict.fromkeys(range(len(part)), "; within the bound, and all is as it was given")
+        part = part.noted(note).ended(part.running, Status.VALID)
+        # What is as it was given has the frame that was given.
+        part = replace(part, certified=part.valid)
+        return done.put(rest, compare_sizes(part, Runner(log.of_meshes(done.mesh, rest)), options))
+
+    return work
