@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from .flipping.delaunay import FlipInfo, FlipOptions, flip_to_delaunay
     from .improving.deform_options import DeformOptions
     from .improving.deformation import DeformReport, deform
-    from .improving.options import ImproveOptions
+    from .improving.options import Bound, ImproveOptions
     from .improving.pipeline import improve
     from .improving.report import Progress, Report, Step
+    from .improving.trail import Piece, rewired
     from .learning import datasets, domains, losses, nn
     from .mesh import metrics
     from .mesh.batch import MeshBatch, join
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from .untangling.untangling import untangle
     from .warping.boundary_path import largest_step
     from .warping.femwarp import femwarp, relax
+    from .warping.step_bound import courant_step
 
 # A module is imported when one of its names is first used, so that a program pays only for what it uses.
 _NAMES = {
@@ -76,9 +78,10 @@ _NAMES = {
     "flipping.delaunay": "FlipInfo FlipOptions flip_to_delaunay",
     "improving.deform_options": "DeformOptions",
     "improving.deformation": "DeformReport deform",
-    "improving.options": "ImproveOptions",
+    "improving.options": "Bound ImproveOptions",
     "improving.pipeline": "improve",
     "improving.report": "Progress Report Step",
+    "improving.trail": "Piece rewired",
     "mesh.batch": "MeshBatch join",
     "mesh.clean_log": "CleanLog",
     "mesh.cleaning": "clean",
@@ -100,6 +103,7 @@ _NAMES = {
     "untangling.untangling": "untangle",
     "warping.boundary_path": "largest_step",
     "warping.femwarp": "femwarp relax",
+    "warping.step_bound": "courant_step",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
@@ -156,6 +160,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "BatchFile",
     "BatchWriter",
+    "Bound",
     "CleanLog",
     "ConvergenceError",
     "DeformOptions",
@@ -172,6 +177,7 @@ __all__ = [
     "MetricField",
     "MissingDependencyError",
     "MoveInfo",
+    "Piece",
     "PolishInfo",
     "PolishOptions",
     "Problem",
@@ -191,6 +197,7 @@ __all__ = [
     "VertexMap",
     "animate",
     "clean",
+    "courant_step",
     "datasets",
     "deform",
     "diagnose",
@@ -217,6 +224,7 @@ __all__ = [
     "relax",
     "remesh",
     "report_page",
+    "rewired",
     "save_batch",
     "size_conformity",
     "size_field",

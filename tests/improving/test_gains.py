@@ -12,6 +12,10 @@ def same(a, b) -> bool:
     return torch.equal(a.points, b.points) and torch.equal(a.triangles, b.triangles)
 
 
+def twice_as_long(places: torch.Tensor) -> torch.Tensor:
+    return torch.tensor([2.0, 0.0, 0.5]).expand(len(places), 3)
+
+
 WAYS = {
     "flip": ImproveOptions(),
     "keep": ImproveOptions(topology="keep"),
@@ -19,7 +23,9 @@ WAYS = {
     "fast": ImproveOptions.fast(),
     "relocate": ImproveOptions(relocate=True),
     "targets": ImproveOptions(
-        smooth=SmoothOptions(ceiling=1.5, targets=MetricField(lambda p: torch.tensor([2.0, 0.0, 0.5]).expand(len(p), 3)))
+        smooth=SmoothOptions(
+            ceiling=1.5, targets=MetricField(lambda p: torch.tensor([2.0, 0.0, 0.5]).expand(len(p), 3))
+        )
     ),
 }
 

@@ -3,7 +3,7 @@
 import meshes
 import torch
 
-from torchmesh import MeshBatch, join
+from torchmesh import MeshBatch
 from torchmesh.mesh.connectivity import edges
 from torchmesh.mesh.frozen import frozen_triangles
 
@@ -37,4 +37,3 @@ def test_triangles_whose_corners_and_edges_stay_are_frozen():
     # A free corner, or an edge that may flip, is enough.
     assert not frozen_triangles(grid_with(None, some))[frozen & ~mesh.fixed[mesh.triangles].all(1)].any()
     assert not frozen_triangles(grid_with(every, None)).any()
-

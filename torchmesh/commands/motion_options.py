@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from ..files.source import Source
     from ..mesh.batch import MeshBatch
 
-# A box is this part of the mesh's extent larger than given, because coordinates in files are rounded.
-_BOX_TOLERANCE = 1e-9
-
 # A displacement field lies in the mesh's plane if it leaves it by less than this part of its length.
 _PLANE_TOLERANCE = 1e-6
 
@@ -46,17 +43,16 @@ class Part:
         """(V,) bool, which vertices belong to it; raises UsageError if none does."""
         import torch
 
+        from ..mesh.boundary_parts import boundary_parts, in_box
+
         inside = torch.zeros(len(mesh.points), dtype=torch.bool)
         if self.loop:
-            named = loops(mesh)
+            named = boundary_parts(mesh)
             if self.loop not in named:
                 raise UsageError(f"{self.option}: there is no {self.loop}, only {', '.join(named)}")
             inside[named[self.loop]] = True
             return inside
-        x0, y0, x1, y1 = self.box
-        box = torch.tensor([[min(x0, x1), min(y0, y1)], [max(x0, x1), max(y0, y1)]], dtype=torch.float64)
-        slack = _BOX_TOLERANCE * float(mesh.points.amax(0).sub(mesh.points.amin(0)).max())
-        inside = mesh.fixed & ((mesh.points >= box[0] - slack) & (mesh.points <= box[1] + slack)).all(1)
+        inside = in_box(mesh, self.box)
         if not bool(inside.any()):
             raise UsageError(f"{self.option}: no boundary vertex lies in that box")
         return inside
@@ -180,23 +176,3 @@ def _field(source: "Source", name: str) -> "Tensor":
         row = int(off.nonzero()[0, 0])
         raise InvalidMeshError(f"point field {name!r} row {row} is {values[row].tolist()}: it leaves the plane")
     return flat.to(mesh.points)
-
-
-def loops(mesh: "MeshBatch") -> dict[str, "Tensor"]:
-    """The vertices of the boundary's loops, by name: outer loops, largest first, then holes from left to right."""
-    from ..mesh import connectivity
-
-    edges = connectivity.boundary_edges(mesh.triangles, mesh.twin)
-    outer: list[tuple] = []
-    holes: list[tuple] = []
-    for loop in connectivity.boundary_loops(edges):
-        xy = mesh.points[loop]
-        following = xy.roll(-1, 0)
-        area = float((xy[:, 0] * following[:, 1] - xy[:, 1] * following[:, 0]).sum()) / 2
-        middle = tuple(((xy.amin(0) + xy.amax(0)) / 2).tolist())
-        (outer if area > 0 else holes).append((-area if area > 0 else 0.0, middle, loop))
-    named = {}
-    for name, found in (("outer", outer), ("hole", holes)):
-        for number, (_, _, loop) in enumerate(sorted(found, key=lambda f: f[:2]), 1):
-            named[f"{name}:{number}"] = loop
-    return named

@@ -13,7 +13,7 @@ import typer
 
 from . import console
 from .errors import UsageError
-from .motion_options import Motion, loops
+from .motion_options import Motion
 from .shared_options import InArgument, QuietOption, StrictOption, ThreadsOption, use_threads
 from .targets import check_mesh_target
 
@@ -121,6 +121,7 @@ def warp(
 def _list(path: Path) -> int:
     """Prints the loops of the boundary and the boxes that they fill."""
     from ..files.mesh_files import read
+    from ..mesh.boundary_parts import boundary_parts
 
     use_threads(1)
     mesh = read(path)
@@ -128,7 +129,7 @@ def _list(path: Path) -> int:
     table.add_column("part")
     for name in ("vertices", "x from", "x to", "y from", "y to"):
         table.add_column(name, justify="right")
-    for name, loop in loops(mesh).items():
+    for name, loop in boundary_parts(mesh).items():
         (x0, y0), (x1, y1) = mesh.points[loop].amin(0).tolist(), mesh.points[loop].amax(0).tolist()
         table.add_row(name, f"{len(loop):,}", *(f"{v:.6g}" for v in (x0, x1, y0, y1)))
     console.stdout().print(table)

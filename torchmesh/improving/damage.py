@@ -287,7 +287,9 @@ class How:
         state, offsets = mending.state, parts.mesh.triangle_offsets
         stretched = torch.zeros_like(parts.whole)
         metric = mending.meant.of_vertices
-        if state.targets is None and metric is not None and mending.options.method == "default":
+        # A bound says that the equilateral triangle is the aim: a mesh that a motion has squeezed is not meant so.
+        usual = state.targets is None and mending.options.method == "default" and mending.options.when is None
+        if usual and metric is not None:
             long = (0.5 * (metric[:, 0] + metric[:, 2]) > mending.options.damage.stretched)[parts.vertices]
             stretched = 2 * segment_count(long, parts.mesh.point_offsets) > counts_from_offsets(
                 parts.mesh.point_offsets
@@ -303,18 +305,19 @@ class How:
 def damaged(state: State, meant: Meant, options: ImproveOptions, spared: "Spared | None" = None) -> Tensor:
     """(T,) bool: the triangles that are inverted, or much worse than the shape that is meant at their place.
 
+    With `options.when` they are those beyond the bound, and where targets are given, also beyond it as these see it.
+
     spared  what does not count as damage where `options.when` says what does; None: what is true of `state` itself
     """
     if options.when is None:
         return ~state.quality.upright | (meant.ratio(state.mesh) > options.damage.worse)
     spared = spared or Spared.of(state)
     bad = beyond(state.mesh, state.quality, options.when, spared.triangles, spared.limits)
-    metric = meant.of_vertices
-    if metric is None or not bool(bad.any()):
+    if state.targets is None or not bool(bad.any()):
         return bad
-    # Where stretched shapes are meant, the bound would find fault with what is as it should be.
-    stretched = (0.5 * (metric[:, 0] + metric[:, 2]) > options.damage.stretched)[state.mesh.triangles].all(1)
-    return bad & (~state.quality.upright | ~stretched | (meant.ratio(state.mesh) > options.damage.worse))
+    # What is as the targets have it is not damaged, whatever its angles are.
+    worse = meant.ratio(state.mesh) > min(options.when.ratio, options.damage.worse)
+    return bad & (~state.quality.upright | worse)
 
 
 @dataclass(frozen=True, eq=False)

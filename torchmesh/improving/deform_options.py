@@ -1,10 +1,12 @@
 """How `deform` works: its options."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from ..optimising.targets import TargetFunction, Targets, check_topology
 from ..smoothing.smoothing import SmoothOptions
-from .options import ImproveOptions
+from .options import Bound, ImproveOptions
 
 
 @dataclass(frozen=True)
@@ -37,13 +39,17 @@ class StepControl:
 class DeformOptions:
     """How `deform` works.
 
-    topology       "flip": edges may flip between the steps; "keep": the triangles stay
+    topology       "flip": edges may flip between the steps and on arrival; "keep": the triangles stay.  "keep" in
+                   `improve` says the same
     path           "auto": a boundary loop whose motion is rigid, or nearly so, turns steadily about its moving centre,
                    and everything else goes straight; "straight": every vertex goes straight
     part           the part of the largest step without inversion that is taken, in (0, 1)
     smallest_step  a mesh is stuck when its next step would be a smaller part of the motion than this
     max_steps      the greatest number of steps
-    smooth         the smoothing after each step
+    when           only a mesh beyond this bound is flipped and smoothed after a step, and improved on arrival; one
+                   within it has just followed its boundary.  None: as `improve.when` says, or every mesh is
+    smooth         the smoothing after each step.  Its targets govern the flips and the arrival, too, and those of
+                   `improve.smooth` the steps
     improve        how the mesh is improved when it has arrived
     finish         what happens to a mesh that is stuck: "stop" leaves it valid where it is; "improve" warps it the rest
                    of the way and untangles it, if a valid mesh exists there
@@ -55,6 +61,7 @@ class DeformOptions:
     part: float = 0.7
     smallest_step: float = 1e-4
     max_steps: int = 1000
+    when: Bound | None = None
     smooth: SmoothOptions = field(
         default_factory=lambda: SmoothOptions(power=1, max_iterations=10, energy_tolerance=1e-3)
     )
@@ -75,3 +82,40 @@ class DeformOptions:
                 raise ValueError(f"DeformOptions.{name} must be between 0 and 1, not {getattr(self, name)}")
         if self.max_steps < 1:
             raise ValueError(f"DeformOptions.max_steps must be at least 1, not {self.max_steps}")
+        if self.when is not None and not isinstance(self.when, Bound):
+            raise ValueError(f"DeformOptions.when must be a Bound or None, not {self.when!r}")
+        if self.topology == "keep" and self.improve.topology == "full":
+            raise ValueError("DeformOptions.topology='keep' and improve.topology='full' exclude each other")
+        check_topology(self.targets, "flip" if self.may_flip else "keep")
+
+    @property
+    def may_flip(self) -> bool:
+        """Whether edges may flip, on the way and on arrival."""
+        return self.topology != "keep" and self.improve.topology != "keep"
+
+    @property
+    def targets(self) -> Targets | TargetFunction | None:
+        """The shapes that are the aim, on the way and on arrival; None: equilateral triangles."""
+        return self.smooth.targets if self.smooth.targets is not None else self.improve.smooth.targets
+
+    @property
+    def bound(self) -> Bound | None:
+        """The bound beyond which a mesh is worked on, on the way and on arrival."""
+        return self.when or self.improve.when
+
+    @property
+    def arrival(self) -> ImproveOptions:
+        """How the mesh is improved on arrival: `improve`, with what else is asked here.
+
+        All vertices move in a deformation: they are not held near where it has left them, but do not travel, either.
+        """
+        tether = self.improve.max_motion
+        if tether is None and self.improve.relocate == "auto" and self.improve.stays_near:
+            tether = math.inf
+        return replace(
+            self.improve,
+            max_motion=tether,
+            topology=self.improve.topology if self.may_flip else "keep",
+            when=self.bound,
+            smooth=replace(self.improve.smooth, targets=self.targets),
+        )

@@ -8,7 +8,7 @@
 Every mesh of a batch has steps of its own; meshes that have arrived take no more.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,17 +16,22 @@ import torch
 from torch import Tensor
 
 from ..diagnosing.diagnosis import diagnose
-from ..errors import ConvergenceError
+from ..errors import ConvergenceError, InvalidMeshError
 from ..mesh.batch import MeshBatch, put
+from ..mesh.boundary_parts import part_vertices
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import released
 from ..mesh.measure import quality
 from ..mesh.ragged import spread
+from ..mesh.regions import region_areas
 from ..mesh.validation import fit_positions
+from ..mesh.vertex_map import VertexMap
+from ..optimising.targets import as_targets, narrow
 from ..status import Status
 from ..warping.boundary_path import BoundaryPath
 from ..warping.femwarp import (
     boundary_goal,
+    checked_hold,
     checked_new_points,
     femwarp,
     unfit_goals,
@@ -38,6 +43,8 @@ from .layered_motion import Path, with_layers
 from .motion import Motion, advance
 from .pipeline import improve
 from .report import Progress, Report
+from .rigid_motion import RigidPath, bodies_of, holding_edges
+from .trail import Piece, has_rewired, settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +55,13 @@ class DeformReport:
     reached   float64, the part of the motion that was done without a tangle; 1 for all of it
     steps     int64, the steps taken
     refused   int64, the steps tried that would have inverted a triangle, and were shortened
-    flips     int64, the edges flipped on the way
+    flips     int64, the edges flipped, on the way and on arrival
     path      for each mesh, the parts of the motion at which its steps ended
     messages  for each mesh, why it ended
     report    the `Report` of the improvement on arrival
+    rewired   bool, some triangle has other corners than in the mesh given; `tm.rewired` says which
+    trail     for each mesh its pieces of constant connectivity, in order: see `Piece`; None unless `deform` was told to
+              keep it
     """
 
     status: Tensor
@@ -62,6 +72,8 @@ class DeformReport:
     path: list[list[float]]
     messages: list[str]
     report: Report
+    rewired: Tensor
+    trail: list[list[Piece]] | None = None
 
     @property
     def valid(self) -> Tensor:
@@ -87,6 +99,7 @@ class DeformReport:
                 "status": Status(int(self.status[b])).name.lower(),
                 "message": self.messages[b],
                 **{name: getattr(self, name)[b].item() for name in columns},
+                "rewired": bool(self.rewired[b]),
                 "path": self.path[b],
                 "improve": {key: value for key, value in records[b].items() if key != "mesh"},
             }
@@ -94,7 +107,6 @@ class DeformReport:
         ]
 
 
-@without_autograd
 def deform(
     batch: MeshBatch,
     new_points: Tensor,
@@ -103,6 +115,9 @@ def deform(
     *,
     progress: Callable[[Progress], None] | None = None,
     hold: Tensor | None = None,
+    rigid: Tensor | None = None,
+    layer: str | Sequence[str] | None = None,
+    trail: bool = False,
 ) -> tuple[MeshBatch, DeformReport]:
     """Move the boundary of a valid batch to `new_points` in steps so small that no triangle ever inverts.
 
@@ -115,22 +130,51 @@ def deform(
     steps       "auto": as few steps as possible; a number: at least so many, of equal length where possible
     progress    called now and then with a `Progress`
     hold        (V,) bool, further vertices whose rows are read, such as those of an interface whose motion is known
+    rigid       (V,) bool, vertices that follow their body exactly, such as those of a layer: they shift and turn with
+                the wall to which edges join them, the edges between them stay, and no stage works on them.  Their own
+                rows of `new_points` are not read
+    layer       the names of walls, such as "hole:1" (as `torchmesh warp --list` has them), or a box "X0,Y0,X1,Y1":
+                the layers along them follow, also where the wall bends, and are held on arrival, too
+    trail       whether `report.trail` is to say on which pieces of the motion the triangles stay, for a solver that
+                steps along with the mesh
 
     Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held; the
     smoothing between the steps and the improvement at the end hold them, unless their options say otherwise.
 
     Layers along walls go as their walls take them, if `improve` keeps them (`ImproveOptions.shapes`).  Where they leave
-    no way, the mesh moves as if it had none, and the message says so.
+    no way, the mesh moves as if it had none, and the message says so; those that `layer` names are never given up.
 
     A mesh stops on the way if its boundary runs into itself, or if its triangles (topology "keep") allow no further
     step.  It is then valid, and the report says where it stopped.  Its status is `Status.STALLED`, or
     `Status.INFEASIBLE` when no valid mesh exists at the goal.  A mesh with a position, or the goal of a fixed vertex,
     that is not finite, or beyond 1e150, comes back as it is, with `Status.NOT_FINITE`.
 
-    Raises InvalidMeshError when a triangle of the other meshes is inverted, or when `new_points` have another shape or
-    type.
+    There is no gradient: of steps, flips and smoothing none is defined.  `femwarp` has one.
+
+    Raises InvalidMeshError when a triangle of the other meshes is inverted, when `new_points` have another shape or
+    type, when a body of `rigid` has no wall or a wall that bends, or when there is no layer along a wall that `layer`
+    names; ValueError when `new_points` requires a gradient.
     """
-    options = options or DeformOptions()
+    if isinstance(new_points, Tensor) and new_points.requires_grad and torch.is_grad_enabled():
+        raise ValueError(
+            "deform has no gradient: give new_points.detach(), or take femwarp, which is differentiable in the boundary"
+        )
+    names = (layer,) if isinstance(layer, str) else tuple(layer or ())
+    return _deform(batch, new_points, steps, options or DeformOptions(), progress, hold, rigid, names, trail)
+
+
+@without_autograd
+def _deform(
+    batch: MeshBatch,
+    new_points: Tensor,
+    steps: Literal["auto"] | int,
+    options: DeformOptions,
+    progress: Callable[[Progress], None] | None,
+    hold: Tensor | None,
+    rigid: Tensor | None,
+    layer: tuple[str, ...],
+    trail: bool,
+) -> tuple[MeshBatch, DeformReport]:
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
     given, batch = batch, with_held(batch, hold)
@@ -144,12 +188,13 @@ def deform(
     if not bool(unfit.all()):
         boundary_goal(batch.select(~unfit), target[spread(~unfit, batch.point_offsets)], "deform")
     target = torch.where(batch.fixed[:, None], target, moving.points)
+    task = Task.of(moving, target, options, rigid, layer, unfit)
     longest = 1.0 if steps == "auto" else 1.0 / steps
-    motion, let_go = _moved(moving, target, longest, options, progress, options.improve.keeps_shapes, unfit)
+    motion, let_go = _moved(task, longest, options, progress, options.improve.keeps_shapes, trail)
     if bool(unfit.any()):
         bad = torch.where(fit_positions(batch.points)[:, None], asked.points, batch.points)
         motion = replace(motion, mesh=put(motion.mesh, unfit, batch.with_points(bad).select(unfit)))
-    after, report = _arrived(motion, batch.with_points(target), options, progress)
+    after, report = _arrived(motion, task, options, progress)
     if bool(unfit.any()):
         after = put(after, unfit, batch.select(unfit))
         report = replace(report, report=replace(report.report, quality=quality(after)))
@@ -157,50 +202,109 @@ def deform(
             report.messages[b] = what_is_unfit_goal(batch, asked.points, b)
     for b in let_go.nonzero().squeeze(1).tolist():
         report.messages[b] += "; its layers left no way, and were not kept"
-    return (after if hold is None else released(after, given, report.report.vertex_map)), report
+    after = _as_free(after, task.batch, report.report.vertex_map)
+    after = after if hold is None else released(after, given, report.report.vertex_map)
+    changed = has_rewired(given, after)
+    pieces = None if motion.pieces is None else _trails(motion, given, after)
+    return after, replace(report, rewired=changed, trail=pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to move.
+
+    batch   the batch, with held vertices fixed
+    target  (V, 2) where its fixed vertices and their followers go
+    held    the batch with the followers of bodies and named layers fixed and their edges constrained
+    path    the path of all of these
+    follow  (V,) bool, the followers; None: there are none
+    unfit   (B,) bool, meshes that do not move
+    """
+
+    batch: MeshBatch
+    target: Tensor
+    held: MeshBatch
+    path: Path
+    follow: Tensor | None
+    unfit: Tensor
+
+    @classmethod
+    def of(
+        cls,
+        batch: MeshBatch,
+        goal: Tensor,
+        options: DeformOptions,
+        rigid: Tensor | None,
+        layer: tuple[str, ...],
+        unfit: Tensor,
+    ) -> "Task":
+        """The task in which the boundary goes to `goal` (V, 2)."""
+        path: Path = BoundaryPath.of(batch, goal, straight=options.path == "straight")
+        if rigid is None and not layer:
+            return cls(batch, goal, batch, path, None, unfit)
+        if options.improve.topology == "full":
+            raise ValueError("deform with rigid or layer needs topology 'keep' or 'flip': under 'full' vertices go")
+        held = batch
+        if layer:
+            along = torch.stack([part_vertices(batch, name) for name in layer]).any(0)
+            held, path, has = with_layers(batch, path, along)
+            if not bool((has | unfit).all()):
+                b = int((~(has | unfit)).nonzero()[0])
+                raise InvalidMeshError(f"mesh {b}: there is no layer along {', '.join(layer)}")
+        if rigid is not None:
+            mask = checked_hold(batch, rigid, "rigid")
+            # A vertex that is fixed goes where it was told to.
+            bodies = bodies_of(batch, mask, goal)
+            path = RigidPath(path, bodies, batch.points)
+            for body in bodies:
+                inside = torch.zeros_like(mask)
+                inside[torch.cat([body.wall, body.followers])] = True
+                held = holding_edges(held, inside)
+        end = path.at(torch.ones(len(batch), dtype=torch.float64, device=batch.points.device)).to(goal)
+        follow = held.fixed & ~batch.fixed
+        return cls(batch, torch.where(follow[:, None], end, goal), held, path, follow, unfit)
+
+    def select(self, at: Tensor, options: DeformOptions) -> "Task":
+        """The task of the meshes `at` (B,) bool, which have no followers."""
+        rows = spread(at, self.batch.point_offsets)
+        return Task.of(self.batch.select(at), self.target[rows], options, None, (), self.unfit[at])
 
 
 def _moved(
-    batch: MeshBatch,
-    target: Tensor,
+    task: Task,
     longest: float,
     options: DeformOptions,
     progress: Callable[[Progress], None] | None,
     keep_layers: bool,
-    unfit: Tensor,
+    trail: bool,
 ) -> tuple[Motion, Tensor]:
-    """The motion at its end with layers carried along, and (B,) bool which meshes were stuck and moved without them.
-
-    unfit  (B,) bool, meshes that do not move
-    """
-    mesh, path = batch, BoundaryPath.of(batch, target, straight=options.path == "straight")
-    has_layers = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
-    way: Path = path
-    if keep_layers:
-        mesh, way, has_layers = with_layers(batch, path)
-    motion = Motion.begin(mesh, way, longest)
-    motion = replace(motion, status=torch.where(unfit, int(Status.NOT_FINITE), motion.status))
+    """The motion at its end with layers carried along, and (B,) bool which meshes were stuck and moved without them."""
+    mesh, way = task.held, task.path
+    has_layers = torch.zeros(len(mesh), dtype=torch.bool, device=mesh.points.device)
+    if keep_layers and task.follow is None:
+        mesh, way, has_layers = with_layers(mesh, way)
+    motion = Motion.begin(mesh, way, longest, trail)
+    motion = replace(motion, status=torch.where(task.unfit, int(Status.NOT_FINITE), motion.status))
     while bool(motion.going.any()):
         before, motion = motion, advance(motion, options)
         if progress is not None and bool((motion.steps > before.steps).any()):
             progress(Progress("deform", int(before.going.sum()), 0, int(motion.steps.max())))
-    free = replace(motion.mesh, fixed=batch.fixed, constrained_edges=batch.constrained_edges)
-    motion = replace(motion, mesh=free if mesh is not batch else motion.mesh)
-    again = has_layers & (motion.status != Status.VALID) & ~unfit
+    free = replace(motion.mesh, fixed=task.held.fixed, constrained_edges=task.held.constrained_edges)
+    motion = replace(motion, mesh=free if mesh is not task.held else motion.mesh)
+    again = has_layers & (motion.status != Status.VALID) & ~task.unfit
     if bool(again.any()):
-        goal = target[spread(again, batch.point_offsets)]
-        bare, _ = _moved(batch.select(again), goal, longest, options, progress, False, unfit[again])
-        motion = motion.put(again, bare)
+        targets = narrow(as_targets(options.targets), task.batch, again)
+        narrowed = replace(options, smooth=replace(options.smooth, targets=targets))
+        part = task.select(again, options)
+        motion = motion.put(again, _moved(part, longest, narrowed, progress, False, trail)[0])
     return motion, again
 
 
 def _arrived(
-    motion: Motion, goal: MeshBatch, options: DeformOptions, progress: Callable[[Progress], None] | None
+    motion: Motion, task: Task, options: DeformOptions, progress: Callable[[Progress], None] | None
 ) -> tuple[MeshBatch, DeformReport]:
-    """Say what stopped the meshes that are stuck, and improve all.
-
-    goal  the batch that was given, at the positions where it was to go
-    """
+    """Say what stopped the meshes that are stuck, and improve all."""
+    goal = task.batch.with_points(task.target)
     stuck = (motion.status != Status.VALID) & (motion.status != Status.NOT_FINITE)
     status, messages = _explained(motion, stuck, goal)
     warped = stuck & (status != Status.INFEASIBLE) & (options.finish == "improve")
@@ -208,14 +312,54 @@ def _arrived(
     if bool(warped.any()):
         rows = spread(warped, goal.point_offsets)
         mesh = put(mesh, warped, femwarp(mesh.select(warped), goal.points[rows]))
-    after, report = improve(mesh, options.improve, progress=progress)
+    after, report = improve(mesh, options.arrival, progress=progress, hold=task.follow)
+    if report.regions is not None and task.follow is not None:
+        # The edges of followers are no borders of regions.
+        free = replace(task.batch, points=mesh.points, triangles=mesh.triangles)
+        report = replace(report, regions=region_areas(free, after))
     status = torch.where(warped & report.valid, int(Status.VALID), status)
     for b in warped.nonzero().squeeze(1).tolist():
         end = "untangled at the goal" if bool(report.valid[b]) else f"not untangled there: {report.messages[b]}"
         messages[b] = f"{messages[b]}; {end}"
+    flips = motion.flips + report.flipped
+    nothing = torch.zeros_like(stuck)
     return after, DeformReport(
-        status, motion.reached, motion.steps, motion.refused, motion.flips, motion.trail, messages, report
+        status, motion.reached, motion.steps, motion.refused, flips, motion.path_ends, messages, report, nothing
     )
+
+
+def _as_free(mesh: MeshBatch, before: MeshBatch, vertex_map: VertexMap | None) -> MeshBatch:
+    """`mesh` with the constrained edges and, of followers, the freedom that `before` has."""
+    if vertex_map is not None or len(mesh.constrained_edges) == len(before.constrained_edges):
+        return mesh
+    return replace(mesh, fixed=before.fixed, constrained_edges=before.constrained_edges)
+
+
+def _as_given(mesh: MeshBatch, given: MeshBatch) -> MeshBatch:
+    """`mesh` with vertices and edges as free as in `given`, where their number is the same."""
+    if len(mesh.points) != len(given.points):
+        return mesh
+    return replace(mesh, fixed=given.fixed, constrained_edges=given.constrained_edges)
+
+
+def _trails(motion: Motion, given: MeshBatch, after: MeshBatch) -> list[list[Piece]]:
+    """The trails to the meshes `after`, whose vertices and edges are as free as those of the meshes given."""
+    assert motion.pieces is not None
+    trails = []
+    for pieces, mesh, end, reached in zip(
+        motion.pieces, given.split(), after.split(), motion.reached.tolist(), strict=True
+    ):
+        start = pieces or (Piece(mesh, mesh, reached, reached),)
+        trail = []
+        for piece in settled(start, end):
+            first, last, old = (
+                m if m is None else _as_given(m, mesh) for m in (piece.before, piece.after, piece.previous)
+            )
+            assert first is not None
+            assert last is not None
+            trail.append(replace(piece, before=first, after=last, previous=old))
+        trails.append(trail)
+    return trails
 
 
 def _explained(motion: Motion, stuck: Tensor, goal: MeshBatch) -> tuple[Tensor, list[str]]:

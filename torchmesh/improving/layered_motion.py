@@ -9,6 +9,7 @@ from torch import Tensor
 from ..layering.following import follow_walls
 from ..layering.layers import Layers, find_layers
 from ..mesh.batch import MeshBatch, vertex_mesh
+from ..mesh.connectivity import heads, tails
 
 
 class Path(Protocol):
@@ -37,9 +38,16 @@ class LayeredPath:
         return follow_walls(self.layers, self.start, self.walls.at(t))
 
 
-def with_layers(batch: MeshBatch, walls: Path) -> tuple[MeshBatch, Path, Tensor]:
-    """The batch with its layers held, the path with them, and (B,) bool which meshes have layers."""
+def with_layers(batch: MeshBatch, walls: Path, along: Tensor | None = None) -> tuple[MeshBatch, Path, Tensor]:
+    """The batch with its layers held, the path with them, and (B,) bool which meshes have layers.
+
+    along  (V,) bool, the walls whose layers count: those of which both ends are named.  None: all walls
+    """
     layers = find_layers(batch)
+    if along is not None and len(layers):
+        half = layers.wall
+        ends = torch.stack([tails(batch.triangles)[half], heads(batch.triangles)[half]], 1)
+        layers = layers.select(along[ends].all(1))
     has_layers = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
     if not len(layers):
         return batch, walls, has_layers

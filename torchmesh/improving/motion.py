@@ -13,14 +13,21 @@ from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch, put
-from ..mesh.measure import upright
+from ..mesh.frozen import frozen_triangles
+from ..mesh.interfaces import holding
+from ..mesh.measure import quality, upright
 from ..mesh.ragged import segment_any, segment_min, spread
+from ..mesh.rounding import rounded, unrounded
+from ..optimising.metric_field import MetricField
+from ..optimising.targets import as_targets, narrow
 from ..smoothing.smoothing import smooth
 from ..status import Status
 from ..warping.boundary_path import first_flat
 from ..warping.femwarp import femwarp
 from .deform_options import DeformOptions
 from .layered_motion import Path
+from .needed import beyond
+from .trail import Piece, longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +47,7 @@ class Motion:
     ends     for each round of steps, (B,) float64 the part of the motion at which a mesh ended its step; NaN if it took
              none
     blocked  (B, 2) float64, for a mesh that is about to be given up the centre of the triangle that bounds its step
+    pieces   for each mesh the pieces of its trail so far; None: no trail is kept
     """
 
     mesh: MeshBatch
@@ -53,9 +61,10 @@ class Motion:
     flips: Tensor
     ends: tuple[Tensor, ...]
     blocked: Tensor
+    pieces: tuple[tuple[Piece, ...], ...] | None = None
 
     @classmethod
-    def begin(cls, batch: MeshBatch, path: Path, longest: float) -> "Motion":
+    def begin(cls, batch: MeshBatch, path: Path, longest: float, trail: bool = False) -> "Motion":
         """The motion before the first step."""
         device = batch.points.device
         status = torch.full((len(batch),), Status.RUNNING, device=device)
@@ -63,7 +72,8 @@ class Motion:
         none = torch.zeros_like(status)
         blocked = torch.full((len(batch), 2), torch.nan, dtype=torch.float64, device=device)
         length = torch.full_like(reached, longest)
-        return cls(batch, path, longest, status, reached, length, none, none, none, (), blocked)
+        pieces = ((),) * len(batch) if trail else None
+        return cls(batch, path, longest, status, reached, length, none, none, none, (), blocked, pieces)
 
     @property
     def going(self) -> Tensor:
@@ -81,10 +91,14 @@ class Motion:
             mine = self.ends[i] if i < len(self.ends) else nothing
             theirs = part.ends[i] if i < len(part.ends) else nothing[rows]
             ends.append(mine.index_copy(0, rows, theirs))
-        return replace(self, mesh=put(self.mesh, at, part.mesh), ends=tuple(ends), **columns)
+        pieces = None
+        if self.pieces is not None and part.pieces is not None:
+            new = dict(zip(rows.tolist(), part.pieces, strict=True))
+            pieces = tuple(new.get(b, old) for b, old in enumerate(self.pieces))
+        return replace(self, mesh=put(self.mesh, at, part.mesh), ends=tuple(ends), pieces=pieces, **columns)
 
     @property
-    def trail(self) -> list[list[float]]:
+    def path_ends(self) -> list[list[float]]:
         """For each mesh, the parts of the motion at which its steps ended."""
         if not self.ends:
             return [[] for _ in self.status]
@@ -170,17 +184,28 @@ def _blocked(motion: Motion, trial: _Trial, options: DeformOptions) -> Tensor:
 
 
 def _stepped(motion: Motion, trial: _Trial, options: DeformOptions) -> Motion:
-    """The motion after the step, with edges flipped and vertices smoothed in the meshes that go on."""
-    taken, part = trial.taken, trial.moved.select(trial.taken[trial.going])
-    reached, flips = torch.where(taken, trial.goal, motion.reached), motion.flips
+    """The motion after the step, with edges flipped and vertices smoothed in the meshes that go on and need it."""
+    taken, moved = trial.taken, trial.moved.select(trial.taken[trial.going])
+    reached, flips, part = torch.where(taken, trial.goal, motion.reached), motion.flips, moved
     # `improve` does the same on arrival, and better.
     between = (reached < 1)[taken]
+    if options.bound is not None and bool(between.any()):
+        bad = beyond(moved, quality(moved), options.bound, frozen_triangles(holding(moved)))
+        between &= segment_any(bad, moved.triangle_offsets)
     if bool(between.any()):
-        some = part.select(between)
-        if options.topology != "keep":
-            some, info = flip_to_delaunay(some, FlipOptions(rule="shape"))
-            flips = flips.index_add(0, taken.nonzero().squeeze(1)[between], info.flips)
-        part = put(part, between, smooth(some, options.smooth)[0])
+        begun = part.select(between)
+        # Which edges flip must not hang on rounding errors.
+        some = start = rounded(begun, torch.ones(len(begun), dtype=torch.bool, device=between.device))
+        whole = taken.index_put((taken.nonzero().squeeze(1),), between)
+        targets = narrow(as_targets(options.targets), motion.mesh, whole)
+        if options.may_flip:
+            metric = targets if isinstance(targets, MetricField) else None
+            some, info = flip_to_delaunay(some, FlipOptions(rule="shape"), metric=metric)
+            flips = flips.index_add(0, whole.nonzero().squeeze(1), info.flips)
+        done = smooth(some, replace(options.smooth, targets=targets))[0]
+        done = unrounded(done, start, begun, holding(begun).fixed)
+        good = ~segment_any(~upright(done), done.triangle_offsets)
+        part = put(part, between, done if bool(good.all()) else put(begun, good, done.select(good)))
     return replace(
         motion,
         mesh=put(motion.mesh, taken, part),
@@ -188,7 +213,23 @@ def _stepped(motion: Motion, trial: _Trial, options: DeformOptions) -> Motion:
         steps=motion.steps + taken,
         flips=flips,
         ends=(*motion.ends, torch.where(taken, trial.goal, torch.nan)),
+        pieces=_longer_trails(motion, trial, moved, part),
     )
+
+
+def _longer_trails(
+    motion: Motion, trial: _Trial, moved: MeshBatch, after: MeshBatch
+) -> tuple[tuple[Piece, ...], ...] | None:
+    """The trails after a step that took meshes to `moved`, where they became `after`."""
+    if motion.pieces is None:
+        return None
+    trails = list(motion.pieces)
+    before = trial.before.select(trial.taken[trial.going]).split()
+    rows = trial.taken.nonzero().squeeze(1).tolist()
+    for b, old, there, then in zip(rows, before, moved.split(), after.split(), strict=True):
+        step = Piece(old, there, float(motion.reached[b]), float(trial.goal[b]))
+        trails[b] = longer(trails[b], step, then)
+    return tuple(trails)
 
 
 def _next_status(motion: Motion, trial: _Trial, options: DeformOptions) -> Tensor:

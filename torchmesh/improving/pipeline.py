@@ -32,6 +32,7 @@ from .runner import Job, Log
 from .state import State, what_failed
 from .strategies import improve_batch
 from .stretched import keeping_stretch
+from .trail import has_rewired
 from .travel import travel_of
 
 if TYPE_CHECKING:
@@ -189,6 +190,7 @@ def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
         travel=travel_of(state),
         regions=regions,
         notes=[note.removeprefix("; ") for note in state.notes],
+        rewired=has_rewired(state.given, state.mesh),
     )
 
 

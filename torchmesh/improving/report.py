@@ -80,6 +80,7 @@ class Report:
     sizes      how well edges follow the sizes wanted, NaN for meshes that are not valid; None if no sizes were asked
                for and the number of vertices stays.  Under "flip", sizes that were given by vertex have travelled with
                the vertices, and are scaled so that they fit the number of vertices
+    rewired    bool, some triangle has other corners than in the mesh given; `tm.rewired(before, after)` says which
     regions    the areas of the regions between interfaces, before and after; None unless interfaces moved freely
     lost       for each mesh, names for what its file held and the written one does not; it is filled when a file is
                written, and empty for meshes that come from no file
@@ -98,6 +99,7 @@ class Report:
     travel: Travel | None = None
     regions: "RegionAreas | None" = None
     notes: list[str] = field(default_factory=list)
+    rewired: Tensor | None = None
 
     def __post_init__(self) -> None:
         self.lost.extend([] for _ in range(len(self.messages) - len(self.lost)))
@@ -111,6 +113,11 @@ class Report:
     def flipped(self) -> Tensor:
         """(B,) int64, the edges flipped in all stages together."""
         return self._total("flips")
+
+    @property
+    def flips(self) -> Tensor:
+        """The same as `flipped`, by the name that it has in the report of `deform`."""
+        return self.flipped
 
     @property
     def cavities(self) -> Tensor:
@@ -160,6 +167,7 @@ class Report:
                 **({} if self.travel is None else {"travel": self.travel.record(b)}),
                 **({} if self.regions is None else {"regions": self.regions.record(b)}),
                 "flipped": flipped[b],
+                **({} if self.rewired is None else {"rewired": bool(self.rewired[b])}),
                 "cavities": cavities[b],
                 "lost": self.lost[b],
                 **({} if self.sizes is None else {"edge_length_over_size": self._size_record(b)}),

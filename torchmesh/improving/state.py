@@ -86,6 +86,7 @@ class State:
     tethered   (B,) bool, the vertices stay near: the mesh came valid and nothing was asked for that takes them far
     curves     the curves along which vertices slide, and where they are on them; None: none slides
     targets    what shapes to aim at; None: equilateral triangles
+    rounded    (V, 2) the positions from which valid meshes are worked on; None: those that were given
     averaged   (V, 2) where averaging took the vertices that were given; None: it was not tried
     held       (V,) bool, vertices that must not move in a stage; None: none
     lively     (V,) bool, vertices round which flips and smoothing may still gain; None: all
@@ -109,6 +110,7 @@ class State:
     tethered: Tensor
     curves: BoundaryCurves | None = None
     targets: Targets | None = None
+    rounded: Tensor | None = None
     averaged: Tensor | None = None
     held: Tensor | None = None
     lively: Tensor | None = None
@@ -317,6 +319,7 @@ class State:
             tethered=self.tethered[at],
             curves=None if self.curves is None else self.curves.select(at),
             targets=narrow(self.targets, self.mesh, at),
+            rounded=by_vertex(self.rounded),
             averaged=by_vertex(self.averaged),
             held=by_vertex(self.held),
             lively=by_vertex(self.lively),
@@ -396,6 +399,7 @@ class State:
             sizes=sizes,
             names=mine.renamed(of),
             edits=edits if part.edits is None else edits.put(at, part.edits),
+            rounded=None,
             averaged=None,
             lively=None,
         )

@@ -23,6 +23,7 @@ from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
 from ..mesh.neighbourhoods import rewired, surroundings
 from ..mesh.ragged import segment_any
+from ..mesh.rounding import rounded, unrounded
 from ..mesh.submesh import submesh
 from ..optimising.metric_field import MetricField
 from ..optimising.moves import Monitor
@@ -76,7 +77,7 @@ def strategy(o: ImproveOptions) -> list[Step]:
     """The steps of the whole job, in order."""
     if o.method == "paper":
         return [partial(step, o=o) for step in (find_faults, paper, certify)]
-    steps = [find_faults, untangle_by_averaging]
+    steps = [find_faults, round_positions, untangle_by_averaging]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
     steps += [untangle_with_triangles_kept, end_the_tangled]
@@ -89,6 +90,7 @@ def strategy(o: ImproveOptions) -> list[Step]:
         steps += [polish_the_worst]
     if o.topology == "full":
         steps += [remove_where_there_is_no_room, remesh_the_valid]
+    steps += [put_back_what_stays]
     if o.weighs_gains:
         steps += [without_little_gains]
     return [partial(step, o=o) for step in [*steps, compare_sizes, certify]]
@@ -185,6 +187,26 @@ def _averaged(state: State) -> MeshBatch:
 
 
 # --- from valid to good ---
+
+
+def round_positions(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Meshes that came valid are worked on at rounded positions, so that decisions do not hang on rounding errors."""
+    if o.slides or o.topology == "full":
+        return state
+    mesh = rounded(state.mesh, state.running & (state.inverted_given == 0))
+    return state if mesh is state.mesh else replace(state.at(mesh), rounded=mesh.points)
+
+
+def put_back_what_stays(state: State, run: Runner, o: ImproveOptions) -> State:
+    """What stays, or did not move on the rounded positions, is where it was given; all is, if that does not fit."""
+    if state.rounded is None:
+        return state
+    given = state.given
+    stays = state.of_given_vertices(state.origin.stays) | state.mesh.fixed
+    begun = given.with_points(state.rounded)
+    back = state.at(unrounded(state.mesh, begun, given, stays))
+    state = replace(back, rounded=None)
+    return taken_back(state, run, state.running & ~state.valid & (state.inverted_given == 0))
 
 
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:

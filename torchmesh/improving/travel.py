@@ -3,7 +3,7 @@
    o - - given position
   / \\      The local width is the mean length of the edges at a vertex in the mesh as given.  A vertex of a mesh
 (  o  )     that came valid stays within one local width of where it was, or within `ImproveOptions.max_motion`: a
-  \\ /      stage that would take some further is run again with these vertices held where they were before it.
+  \\ /      stage that would take some further is run again with these vertices held at the end of their tether.
    -
 """
 
@@ -72,11 +72,27 @@ def tethered(stage: Stage) -> Stage:
             if turn == _TRIES:
                 return done.put(again, state.select(again)), work
             held |= too_far
-            short, more = stage(replace(state, held=held).select(again), monitor)
+            start = _at_the_end_of_the_tether(state, done, too_far, torch.where(too_far, far, 1.0), before)
+            short, more = stage(replace(start, held=held).select(again), monitor)
             done, work = done.put(again, replace(short, held=None)), work.plus(more.over(again))
         return done, work
 
     return stage_on_a_tether
+
+
+def _at_the_end_of_the_tether(state: State, done: State, too_far: Tensor, far: Tensor, before: Tensor | None) -> State:
+    """`done` with the vertices that went `too_far` (V,) bool at the end of their tether, on their way.
+
+    Meshes in which that would invert a triangle are as they were before the stage.
+    """
+    limit = torch.full_like(far, state.origin.tether) if before is None else before.clamp_min(state.origin.tether)
+    share = torch.where(too_far, (1 - 1e-3) * limit / far, 1.0)[:, None]
+    # Where a vertex of a mesh that came tangled was further away before, this is where it was, or nearer.
+    points = torch.lerp(state.anchors.to(torch.float64), done.mesh.points.to(torch.float64), share)
+    points = torch.where(too_far[:, None], points, done.mesh.points.to(torch.float64))
+    begun = done.at(done.mesh.with_points(points))
+    bad = ~begun.valid
+    return begun.put(bad, state.select(bad)) if bool(bad.any()) else begun
 
 
 def tied(state: State, o: ImproveOptions) -> State:

@@ -42,11 +42,11 @@ def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:
     return batch if hold is None else replace(batch, fixed=batch.fixed | checked_hold(batch, hold))
 
 
-def checked_hold(batch: MeshBatch, hold: Tensor) -> Tensor:
-    """`hold` as (V,) bool on the device of the batch; InvalidMeshError for another shape or type."""
+def checked_hold(batch: MeshBatch, hold: Tensor, name: str = "hold") -> Tensor:
+    """The mask `hold` as (V,) bool on the device of the batch; InvalidMeshError, with its name, for anything else."""
     hold = torch.as_tensor(hold, device=batch.fixed.device)
     if hold.dtype != torch.bool or hold.shape != batch.fixed.shape:
-        raise InvalidMeshError(f"hold must be ({len(batch.fixed)},) bool, not {tuple(hold.shape)} {hold.dtype}")
+        raise InvalidMeshError(f"{name} must be ({len(batch.fixed)},) bool, not {tuple(hold.shape)} {hold.dtype}")
     return hold
 
 
