@@ -46,7 +46,7 @@ class MassMatrix:
         total[np.bincount(side.triangles.reshape(-1), minlength=count) == 0] = 1.0
         i = side.triangles[:, [0, 1, 2, 1, 2, 0]].reshape(-1)
         j = side.triangles[:, [1, 2, 0, 0, 1, 2]].reshape(-1)
-        rows = SparseRows.of([Entries(i, j, np.repeat(area / 12, 6))], (count, count))
+        rows = SparseRows.summed([Entries(i, j, np.repeat(area / 12, 6))], (count, count))
         return cls(rows, torch.from_numpy(total), offsets)
 
     @property
@@ -103,7 +103,7 @@ def mixed_mass(before: Side, after: Side, shared: Overlaps, sign: np.ndarray) ->
             )  # fmt: skip
             i, j = after.triangles[shared.after, p], before.triangles[shared.before, q]
             entries.append(Entries(i, j, value))
-    return SparseRows.of(entries, (len(after.x), len(before.x)))
+    return SparseRows.summed(entries, (len(after.x), len(before.x)))
 
 
 def _hats(

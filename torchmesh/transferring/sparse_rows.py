@@ -52,6 +52,19 @@ class SparseRows:
         rows, columns, weights = (torch.from_numpy(column[order]) for column in entries)
         return cls(rows, columns, weights, shape)
 
+    @classmethod
+    def summed(cls, parts: Sequence[Entries], shape: tuple[int, int]) -> "SparseRows":
+        """From entries in any order, of which those at one position add up: assembled, as matrices of elements are."""
+        from scipy.sparse import coo_matrix
+
+        entries = Entries.joined(parts)
+        # Rows are gathered by counting and sorted one by one: their sums do not depend on other rows.
+        found = coo_matrix((entries.weights, (entries.rows, entries.columns)), shape=shape).tocsr()
+        found.sum_duplicates()
+        rows = np.repeat(np.arange(shape[0]), np.diff(found.indptr))
+        columns = found.indices.astype(np.int64)
+        return cls(torch.from_numpy(rows), torch.from_numpy(columns), torch.from_numpy(found.data), shape)
+
     def matrix(self) -> Tensor:
         """The sparse COO tensor, float64."""
         return torch.sparse_coo_tensor(
