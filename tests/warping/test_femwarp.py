@@ -154,3 +154,37 @@ def test_relax_untangles_inside_a_convex_boundary(name):
 def test_relax_forgets_where_the_free_vertices_were():
     first, second = (relax(meshes.disturbed(meshes.ring(), size, seed)) for size, seed in ((0.1, 1), (3.0, 2)))
     assert torch.equal(first.points, second.points)
+
+
+def test_the_boundary_has_a_gradient_by_the_adjoint():
+    mesh = meshes.jittered(5, 4, 0.2, 3)
+    goal = (mesh.points * 1.1 + 0.3).requires_grad_()
+    assert torch.autograd.gradcheck(lambda p: femwarp(mesh, p).points, (goal,))
+    assert torch.autograd.gradgradcheck(lambda p: femwarp(mesh, p).points, (goal,))
+    femwarp(mesh, goal).points.square().sum().backward()
+    assert goal.grad is not None
+    # What is not read has none.
+    assert (goal.grad[~mesh.fixed] == 0).all()
+    assert (goal.grad[mesh.fixed] != 0).any()
+
+
+def test_the_gradient_is_of_every_mesh_of_a_batch_and_of_held_vertices():
+    batch = join([meshes.grid(), meshes.ring()])
+    hold = torch.zeros_like(batch.fixed)
+    hold[(~batch.fixed).nonzero()[0]] = True
+    goal = (batch.points + 0.1).requires_grad_()
+    assert torch.autograd.gradcheck(lambda p: femwarp(batch, p, hold=hold).points, (goal,))
+    single = batch.to(torch.float32)
+    warped = femwarp(single, goal).points
+    assert warped.dtype == torch.float32
+    assert warped.requires_grad
+
+
+def test_a_warp_without_a_gradient_has_none_and_the_same_bits():
+    mesh = meshes.ring()
+    goal = mesh.points * 1.2
+    plain = femwarp(mesh, goal)
+    assert not plain.points.requires_grad
+    assert torch.equal(femwarp(mesh, goal.clone().requires_grad_()).points, plain.points)
+    with torch.no_grad():
+        assert not femwarp(mesh, goal.clone().requires_grad_()).points.requires_grad

@@ -279,20 +279,30 @@ class PartsLog(Log):
         self.total, self.max = segment_sum(ratio, offsets), segment_max(ratio, offsets)
         self.inverted = segment_sum((outside & ~state.quality.upright).to(torch.float64), offsets)
 
-    def _write(self, name: str, state: State, at: Tensor, seconds: float, work: Work) -> None:
+    def _of_wholes(self, state: State) -> tuple[Tensor, Tensor, Tensor]:
+        """(B,) each: the mean and the maximum ratio of the whole meshes, and the number of their inverted triangles."""
         owner, q = self.parts.owner, state.quality
         counts = counts_from_offsets(state.mesh.triangle_offsets).to(torch.float64)
         total = self.total.index_add(0, owner, q.mean * counts)
         count = self.count.index_add(0, owner, counts)
         inverted = self.inverted.index_add(0, owner, q.inverted.to(torch.float64))
-        worst = self.max.scatter_reduce(0, owner, q.max, "amax")
+        return total / count, self.max.scatter_reduce(0, owner, q.max, "amax"), inverted
+
+    def amend(self, state: State, at: Tensor) -> None:
+        mean, worst, inverted = self._of_wholes(state)
+        for b in self.parts.owner[at].unique().tolist():
+            self.log.amend_row(b, float(mean[b]), float(worst[b]), int(inverted[b]))
+
+    def _write(self, name: str, state: State, at: Tensor, seconds: float, work: Work) -> None:
+        owner = self.parts.owner
+        mean, worst, inverted = self._of_wholes(state)
         for b in owner[at].unique().tolist():
             mine = owner[at] == b
             flips, iterations, cavities = (
                 int(column[mine].sum()) for column in (work.flips, work.iterations, work.cavities)
             )
             step = Step(
-                name, float(total[b] / count[b]), float(worst[b]), int(inverted[b]), flips, iterations, seconds,
+                name, float(mean[b]), float(worst[b]), int(inverted[b]), flips, iterations, seconds,
                 cavities, bool(work.kept[mine].any()),
             )  # fmt: skip
             self.log.add(b, step)

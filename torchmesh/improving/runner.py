@@ -166,6 +166,17 @@ class Log:
         work = replace(work, kept=torch.full_like(work.kept, kept))
         self._write(name, state, at, seconds, Work(*(getattr(work, f.name)[at] for f in fields(work))))
 
+    def amend(self, state: State, at: Tensor) -> None:
+        """Put the present quality of the meshes `at` (B,) bool into their last rows: rounding has changed it since."""
+        q = state.quality
+        for b in at.nonzero().squeeze(1).tolist():
+            self.amend_row(b, float(q.mean[b]), float(q.max[b]), int(q.inverted[b]))
+
+    def amend_row(self, b: int, mean: float, largest: float, inverted: int) -> None:
+        """Put these into the last row of mesh `b`."""
+        last = replace(self.steps[b][-1], mean=mean, max=largest, inverted=inverted)
+        self.steps[b][-1] = self._as_whole(b, last)
+
     def add(self, b: int, step: Step) -> None:
         """Add a row about mesh `b`."""
         self.steps[b].append(self._as_whole(b, step))

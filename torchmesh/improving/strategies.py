@@ -205,8 +205,9 @@ def put_back_what_stays(state: State, run: Runner, o: ImproveOptions) -> State:
     stays = state.of_given_vertices(state.origin.stays) | state.mesh.fixed
     begun = given.with_points(state.rounded)
     back = state.at(unrounded(state.mesh, begun, given, stays))
-    state = replace(back, rounded=None)
-    return taken_back(state, run, state.running & ~state.valid & (state.inverted_given == 0))
+    state, came_valid = replace(back, rounded=None), state.inverted_given == 0
+    run.log.amend(state, came_valid)
+    return taken_back(state, run, came_valid & ~state.valid)
 
 
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:

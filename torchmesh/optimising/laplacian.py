@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -47,38 +48,99 @@ def harmonic_extension(
     ordering): one factorisation of the whole batch would order its columns by all the meshes, so that the
     rounding of one mesh would depend on the others.  Raises RuntimeError where a mesh's matrix is singular.
     """
-    from scipy.sparse import coo_matrix, csc_matrix, diags
-    from scipy.sparse.linalg import splu
+    system = ExtensionSystem(triangles, weights, known, point_offsets)
+    return system.extended(values, source)
 
-    a, b, c = triangles.unbind(1)
-    i, j = torch.cat([b, c, a]), torch.cat([c, a, b])
-    row, column, weight = (v.cpu().numpy() for v in (i, j, torch.cat(weights).to(torch.float64)))
-    count = len(known)
-    coupling = coo_matrix((weight, (row, column)), shape=(count, count)).tocsr()
-    coupling = coupling + coupling.T
-    given = values.to(torch.float64).cpu().numpy()
-    unknown, fixed = (np.flatnonzero(mask.cpu().numpy()) for mask in (~known, known))
-    rows = coupling[unknown]
-    inner = (diags(np.asarray(rows.sum(1)).ravel()) - rows[:, unknown]).tocsc()
-    right = rows[:, fixed] @ given[fixed]
-    if source is not None:
-        right = right + source.to(torch.float64).cpu().numpy()[unknown]
-    solution = given.copy()
-    # Slicing a sparse matrix takes time in proportion to its width, for every mesh.  The blocks are therefore cut
-    # out of its arrays.
-    for first, last in itertools.pairwise(np.searchsorted(unknown, point_offsets.cpu().numpy()).tolist()):
-        if first == last:
-            continue
-        start, end = inner.indptr[first], inner.indptr[last]
-        block = inner.data[start:end], inner.indices[start:end] - first, inner.indptr[first : last + 1] - start
-        factors = splu(
-            csc_matrix(block, shape=(last - first, last - first)),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        solution[unknown[first:last]] = factors.solve(right[first:last])
-    return torch.where(known[:, None], values, torch.from_numpy(solution).to(values))
+
+class ExtensionSystem:
+    """The factorised system of `harmonic_extension`, for any number of right-hand sides; arguments as there."""
+
+    def __init__(
+        self, triangles: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor, point_offsets: Tensor
+    ) -> None:
+        from scipy.sparse import coo_matrix, csc_matrix, diags
+        from scipy.sparse.linalg import splu
+
+        a, b, c = triangles.unbind(1)
+        i, j = torch.cat([b, c, a]), torch.cat([c, a, b])
+        row, column, weight = (v.cpu().numpy() for v in (i, j, torch.cat(weights).to(torch.float64)))
+        count = len(known)
+        coupling = coo_matrix((weight, (row, column)), shape=(count, count)).tocsr()
+        coupling = coupling + coupling.T
+        self.known = known
+        self.unknown, self.fixed = (np.flatnonzero(mask.cpu().numpy()) for mask in (~known, known))
+        rows = coupling[self.unknown]
+        inner = (diags(np.asarray(rows.sum(1)).ravel()) - rows[:, self.unknown]).tocsc()
+        self.outer = rows[:, self.fixed]
+        self.factors = []
+        # Slicing a sparse matrix takes time in proportion to its width, for every mesh.  The blocks are therefore cut
+        # out of its arrays.
+        for first, last in itertools.pairwise(np.searchsorted(self.unknown, point_offsets.cpu().numpy()).tolist()):
+            if first == last:
+                continue
+            start, end = inner.indptr[first], inner.indptr[last]
+            block = inner.data[start:end], inner.indices[start:end] - first, inner.indptr[first : last + 1] - start
+            factors = splu(
+                csc_matrix(block, shape=(last - first, last - first)),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+            self.factors.append((first, last, factors))
+
+    def extended(self, values: Tensor, source: Tensor | None = None) -> Tensor:
+        """(V, k) `values` with the unknown rows solved for, with the right-hand side `source` (V, k)."""
+        given = values.to(torch.float64).cpu().numpy()
+        right = self.outer @ given[self.fixed]
+        if source is not None:
+            right = right + source.to(torch.float64).cpu().numpy()[self.unknown]
+        solution = given.copy()
+        self._solve(right, solution)
+        return torch.where(self.known[:, None], values, torch.from_numpy(solution).to(values))
+
+    def adjoint(self, gradient: Tensor) -> Tensor:
+        """(V, k) the gradient of the known rows, where that of the extension is `gradient` (V, k); 0 in other rows.
+
+        With x_I = -K_II^-1 K_IB x_B and K symmetric it is g_B - K_BI K_II^-1 g_I: one solve with the same factors.
+        """
+        g = gradient.to(torch.float64).cpu().numpy()
+        solved = np.zeros_like(g)
+        self._solve(g[self.unknown], solved)
+        back = np.zeros_like(g)
+        back[self.fixed] = g[self.fixed] + self.outer.T @ solved[self.unknown]
+        return torch.from_numpy(back).to(gradient)
+
+    def _solve(self, right: np.ndarray, into: np.ndarray) -> None:
+        """Put K_II^-1 `right` (I, k) into the unknown rows of `into`."""
+        for first, last, factors in self.factors:
+            into[self.unknown[first:last]] = factors.solve(right[first:last])
+
+
+class Extended(torch.autograd.Function):
+    """The harmonic extension of values (V, k), differentiable in their known rows."""
+
+    @staticmethod
+    def forward(context: Any, values: Tensor, system: ExtensionSystem) -> Tensor:
+        context.system = system
+        return system.extended(values)
+
+    @staticmethod
+    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        return Adjoint.apply(gradient, context.system), None
+
+
+class Adjoint(torch.autograd.Function):
+    """The gradient of `Extended`; it is linear, and its own gradient is the extension again."""
+
+    @staticmethod
+    def forward(context: Any, gradient: Tensor, system: ExtensionSystem) -> Tensor:
+        context.system = system
+        return system.adjoint(gradient)
+
+    @staticmethod
+    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        known = context.system.known[:, None]
+        return Extended.apply(torch.where(known, gradient, 0.0), context.system), None
 
 
 @dataclass(frozen=True, eq=False)

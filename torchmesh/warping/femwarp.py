@@ -7,21 +7,22 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, put
-from ..mesh.detached import without_autograd
+from ..mesh.detached import detached, without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.ragged import segment_any
 from ..mesh.triangle import corners
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
-from ..optimising.laplacian import cotangent_weights, harmonic_extension
+from ..optimising.laplacian import Extended, ExtensionSystem, cotangent_weights, harmonic_extension
 
 
-@without_autograd
 def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
     """Move the fixed vertices to `new_points` and let the others follow harmonically.
 
-    new_points  (V, 2) in the batch's unit; the rows of fixed vertices count
+    new_points  (V, 2) in the batch's unit; the rows of fixed vertices count.  The points of the result are
+                differentiable in these rows, by one more solve with the same factors; they are not in the points of
+                `batch`
     hold        (V,) bool, further vertices whose rows count, such as those of an interface whose motion is known
 
     Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held.
@@ -31,10 +32,24 @@ def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None)
     invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
     undeformed mesh is inverted, or when positions are not finite or of another shape or type; it names mesh and row.
     """
+    system, target = _warp_system(batch, new_points, hold)
+    batch = detached(batch)
+    if isinstance(new_points, Tensor) and new_points.requires_grad and torch.is_grad_enabled():
+        fixed = system.known[:, None]
+        # The values are those of `target`, and the gradient goes to the rows that count.
+        asked = torch.where(fixed, new_points.to(batch.points), target)
+        return batch.with_points(Extended.apply(asked, system))
+    with torch.no_grad():
+        return batch.with_points(system.extended(target))
+
+
+@without_autograd
+def _warp_system(batch: MeshBatch, new_points: Tensor, hold: Tensor | None) -> tuple[ExtensionSystem, Tensor]:
+    """The factorised system of the warp, and (V, 2) the fixed vertices at their goal, the others where they are."""
     fixed = with_held(batch, hold).fixed
     target = boundary_goal(replace(batch, fixed=fixed), new_points, "femwarp")
     weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
-    return batch.with_points(harmonic_extension(batch.triangles, weights, fixed, target, batch.point_offsets))
+    return ExtensionSystem(batch.triangles, weights, fixed, batch.point_offsets), target
 
 
 def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:
