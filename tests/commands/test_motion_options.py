@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from torchmesh import MeshBatch
-from torchmesh.commands.motion_options import loops as loops_of
+from torchmesh.mesh.boundary_parts import boundary_parts as loops_of
 
 
 def test_holes_are_numbered_from_left_to_right():

@@ -126,3 +126,34 @@ def test_warp_by_a_point_field_in_a_plane_of_space(call, folder):
     assert by[outer] == pytest.approx(0)
     done = call("warp", "wall.vtu", "out.vtu", "--displacement", "out")
     assert is_one_clear_line(done, "it leaves the plane")
+
+
+def test_warp_carries_what_is_near_a_part_as_one_body(call, folder):
+    args = ["--rotate", "hole:1:40", "--move", "hole:1:0.05,0", "--steps", "auto"]
+    done = call("warp", "plate.msh", "out.vtu", *args, "--rigid", "hole:1:0.12")
+    assert (done.status, done.err) == (0, "")
+    points, (hole, outer) = plate()[0], parts()
+    near = (np.abs(points - 0.5).max(1) < 0.2 + 0.12) & ~outer
+    body = hole | (near & (np.linalg.norm(np.maximum(np.abs(points - 0.5) - 0.2, 0), axis=1) <= 0.12))
+    assert body.sum() > hole.sum()
+    angle = np.radians(40)
+    x, y = (points[body] - 0.5).T
+    turned = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], 1)
+    assert points[body] + moved(folder)[body] == pytest.approx(turned + 0.5 + [0.05, 0.0], abs=1e-12)
+    assert inverted(folder / "out.vtu") == 0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["--rigid", "hole:1:0.1"], "--rigid goes with --steps"),
+        (["--rigid", "hole:1", "--steps", "auto"], "expected hole:N:DISTANCE"),
+        (["--rigid", "hole:1:-1", "--steps", "auto"], "must be positive"),
+        (["--rigid", "hole:1:1e-9", "--steps", "auto"], "no free vertex"),
+    ],
+)
+def test_warp_refuses_bodies_that_are_none(call, wrong, said):
+    done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0", *wrong)
+    assert done.status == 2
+    assert is_one_clear_line(done.err)
+    assert said in done.err

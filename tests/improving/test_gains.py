@@ -21,7 +21,6 @@ WAYS = {
     "keep": ImproveOptions(topology="keep"),
     "damage": ImproveOptions(scope="damage"),
     "fast": ImproveOptions.fast(),
-    "relocate": ImproveOptions(relocate=True),
     "targets": ImproveOptions(
         smooth=SmoothOptions(
             ceiling=1.5, targets=MetricField(lambda p: torch.tensor([2.0, 0.0, 0.5]).expand(len(p), 3))

@@ -59,6 +59,47 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Follower:
+    """`--rigid PART:DISTANCE`: what lies so near to a part of the boundary follows it exactly."""
+
+    part: Part
+    distance: float
+
+    @classmethod
+    def of(cls, text: str) -> "Follower":
+        """From what follows `--rigid`; raises UsageError."""
+        option = f"--rigid {text}"
+        words = text.split(":")
+        if len(words) != (3 if words[0] in ("outer", "hole") else 2):
+            raise UsageError(f"{option}: expected hole:N:DISTANCE or outer:N:DISTANCE or X0,Y0,X1,Y1:DISTANCE")
+        distance = _numbers(option, words[-1], 1)[0]
+        if not distance > 0:
+            raise UsageError(f"{option}: the distance must be positive")
+        return cls(Part.of(option, words[:-1]), distance)
+
+    def vertices(self, mesh: "MeshBatch") -> "Tensor":
+        """(V,) bool, the part and the free vertices within the distance of its edges; raises UsageError for none."""
+        from ..mesh import connectivity
+
+        part = self.part.vertices(mesh)
+        edges = connectivity.boundary_edges(mesh.triangles, mesh.twin)
+        edges = edges[part[edges].all(1)]
+        a, b = mesh.points[edges].unbind(1)
+        way = b - a
+        length = way.square().sum(1).clamp_min(1e-300)
+        rows = (~mesh.fixed).nonzero().squeeze(1)
+        inside = part.clone()
+        for some in rows.split(1024):
+            p = mesh.points[some][:, None]
+            along = (((p - a) * way).sum(2) / length).clamp(0, 1)
+            away = (p - a - along[:, :, None] * way).norm(dim=2)
+            inside[some] = (away <= self.distance).any(1)
+        if not bool((inside & ~mesh.fixed).any()):
+            raise UsageError(f"{self.part.option}: no free vertex lies within {self.distance:g} of that part")
+        return inside
+
+
+@dataclass(frozen=True)
 class Shift:
     """`--move PART:DX,DY`: move a part of the boundary by a vector."""
 

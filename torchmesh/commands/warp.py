@@ -13,7 +13,7 @@ import typer
 
 from . import console
 from .errors import UsageError
-from .motion_options import Motion
+from .motion_options import Follower, Motion
 from .shared_options import InArgument, QuietOption, StrictOption, ThreadsOption, use_threads
 from .targets import check_mesh_target
 
@@ -29,6 +29,7 @@ EXAMPLES = (
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --steps auto",
     "torchmesh warp plate.msh bent.vtu --move 0,0,0.2,1:0,-0.1 --rotate hole:1:30:0.5,0.5",
     "torchmesh warp plate.vtu moved.vtu --displacement displacement",
+    "torchmesh warp plate.msh moved.vtu --move hole:1:0.2,0 --rigid hole:1:0.05 --steps auto",
 )
 
 
@@ -68,6 +69,15 @@ StepsOption = Annotated[
         show_default=False,
     ),
 ]
+RigidOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PART:DISTANCE",
+        help="With --steps: what lies so near to a part, as its layer, shifts and turns with it exactly; its edges "
+        "stay. May be given several times.",
+        show_default=False,
+    ),
+]
 
 
 def warp(
@@ -79,6 +89,7 @@ def warp(
     displacement: DisplacementOption = None,
     improve_too: ImproveOption = False,
     steps: StepsOption = None,
+    rigid: RigidOption = None,
     strict: StrictOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
@@ -95,8 +106,9 @@ def warp(
     is 1.
     """
     asked = bool(move or rotate or displacement)
+    followers = [Follower.of(text) for text in rigid or []]
     if list_parts:
-        if target or asked or improve_too:
+        if target or asked or improve_too or followers:
             raise UsageError("--list goes with IN alone")
         return _list(source)
     if target is None:
@@ -106,6 +118,8 @@ def warp(
     motion = Motion.of(rotate or [], move or [], displacement)
     if steps is not None:
         _check_steps(steps, improve_too)
+    elif followers:
+        raise UsageError("--rigid goes with --steps auto, which also holds the body on arrival")
     check_mesh_target(target)
     use_threads(threads)
 
@@ -114,7 +128,7 @@ def warp(
     given = open_mesh(source)
     boundary = motion.apply(given.sources[0])
     if steps is not None:
-        return _deform(given, boundary, steps, target, strict, quiet)
+        return _deform(given, boundary, steps, target, strict, quiet, followers)
     return _warp(given, boundary, improve_too, target, strict, quiet)
 
 
@@ -176,8 +190,18 @@ def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, 
     return 0
 
 
-def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, strict: bool, quiet: bool) -> int:
+def _deform(
+    given: "Series",
+    boundary: "Tensor",
+    steps: str,
+    target: Path,
+    strict: bool,
+    quiet: bool,
+    followers: list[Follower],
+) -> int:
     """Moves in steps that invert nothing, writes, and says how far the boundary got; returns the exit status."""
+    import torch
+
     from ..files.time_series import draft_series
     from ..improving.deformation import deform
     from ..mesh.measure import quality
@@ -185,7 +209,9 @@ def _deform(given: "Series", boundary: "Tensor", steps: str, target: Path, stric
 
     mesh = given.batch
     with console.progress(quiet) as show, _file_named(given):
-        after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show)
+        bodies = [follower.vertices(mesh) for follower in followers]
+        rigid = torch.stack(bodies).any(0) if bodies else None
+        after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show, rigid=rigid)
     _save(draft_series(target, after, given), strict)
     if not quiet:
         columns = {"undeformed": console.record(mesh, quality(mesh)), "deformed": console.record(after, quality(after))}

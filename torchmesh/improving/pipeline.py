@@ -176,22 +176,32 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
 
 def report_on(state: State, log: Log, options: ImproveOptions) -> Report:
     """The report on a finished state."""
-    regions = _areas_of_regions(state)
+    regions, travel = _areas_of_regions(state), travel_of(state)
     return Report(
         status=state.status,
         valid=state.valid,
         certified=state.certified,
         quality=state.quality,
         steps=log.steps,
-        messages=[_message(b, state, log, options) + _regions_text(b, regions) for b in range(len(state))],
+        messages=[
+            _message(b, state, log, options) + _regions_text(b, regions) + _motion_text(float(travel.max[b]), options)
+            for b in range(len(state))
+        ],
         moved=_moved(state),
         remeshed=_remeshed(state) if options.topology == "full" else None,
         sizes=state.conformity,
-        travel=travel_of(state),
+        travel=travel,
         regions=regions,
         notes=[note.removeprefix("; ") for note in state.notes],
         rewired=has_rewired(state.given, state.mesh),
     )
+
+
+def _motion_text(far: float, options: ImproveOptions) -> str:
+    """That a vertex of a mesh went further than it should, if it did."""
+    if options.max_motion is None or not far > options.max_motion:
+        return ""
+    return f"; max_motion could not be had: a vertex is {far:.3g} local widths from where it was given"
 
 
 def _tangled_at_interface(b: int, state: State) -> bool:

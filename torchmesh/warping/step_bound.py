@@ -16,8 +16,8 @@ def courant_step(batch: MeshBatch, new_points: Tensor, courant: float = 1.0, *, 
 
     This is the part of the time in which |w| dt / h stays below `courant`, as explicit steps in moving coordinates ask
     for; w is the velocity of a vertex, and h the least height of a triangle at it.  The interior goes by FEMWARP, so
-    that nothing need be warped before.  More than 1 means that the whole motion is within the bound, and infinity that
-    nothing moves.  `largest_step` says when a triangle would invert.
+    that nothing need be warped before.  More than 1 means that the whole motion is within the bound, and a huge number
+    that nothing moves.  `largest_step` says when a triangle would invert.
 
     new_points  (V, 2) in the unit of the batch; only the rows of fixed and held vertices are read
     courant     the greatest |w| dt / h, such as 0.5
