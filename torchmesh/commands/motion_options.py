@@ -142,12 +142,10 @@ class Turn:
 
     def apply(self, points: "Tensor", rows: "Tensor") -> "Tensor":
         """(V, 2) `points` after those that `rows` (V,) bool marks have turned."""
-        import torch
-
         part = points[rows]
-        centre = (part.amin(0) + part.amax(0)) / 2 if self.centre is None else torch.tensor(self.centre).to(points)
+        centre = (part.amin(0) + part.amax(0)) / 2 if self.centre is None else points.new_tensor(self.centre)
         angle = math.radians(self.degrees)
-        turn = torch.tensor([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]).to(points)
+        turn = points.new_tensor([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         points = points.clone()
         points[rows] = centre + (part - centre) @ turn
         return points
