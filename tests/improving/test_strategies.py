@@ -12,12 +12,14 @@ def steps_of(options: ImproveOptions) -> list[str]:
     return [step.func.__name__ for step in strategy(options)]
 
 
-TANGLED = ["find_faults", "untangle_by_averaging"]
+TANGLED = ["find_faults", "round_positions", "untangle_by_averaging"]
 FLIPS = ["untangle_with_flips", "untangle_by_retriangulation"]
 KEPT = ["untangle_with_triangles_kept", "end_the_tangled"]
 GOOD = ["flip_and_smooth", "smooth_at_last", "better_the_sound"]
 USUAL = [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", "polish_the_worst"]
-END = ["without_little_gains", "compare_sizes", "certify"]
+END = ["put_back_what_stays", "without_little_gains", "compare_sizes", "certify"]
+# What slides, and what comes and goes, is not rounded.
+EXACT = [name for name in USUAL if name != "round_positions"]
 FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
 
 
@@ -31,10 +33,10 @@ FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
             ImproveOptions(topology="keep"),
             [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last", "better_the_sound", *END],
         ),
-        (ImproveOptions(topology="full"), [*TANGLED, *FLIPS, *KEPT, *GOOD, "let_vertices_travel", *FULL, *END[1:]]),
+        (ImproveOptions(topology="full"), [*EXACT[:-1], *FULL, *END[2:]]),
         (
             ImproveOptions(boundary="slide"),
-            [*USUAL, *END],
+            [*EXACT, *END[1:]],
         ),
         (
             ImproveOptions(topology="keep", smooth=SmoothOptions(targets=target_from(meshes.grid()))),

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from ..mesh.batch import MeshBatch
 from ..optimising.targets import TargetFunction, Targets, check_topology
 from ..smoothing.smoothing import SmoothOptions
 from .options import Bound, ImproveOptions
@@ -51,6 +52,10 @@ class DeformOptions:
     smooth         the smoothing after each step.  Its targets govern the flips and the arrival, too, and those of
                    `improve.smooth` the steps
     improve        how the mesh is improved when it has arrived
+    reference      the undeformed meshes, with as many vertices and triangles, and the same boundary and constrained
+                   edges, if the caller has them.  On arrival a mesh that would be improved, or that has other triangles,
+                   becomes the reference, warped to the boundary, if that is good: within the bound, or, without one,
+                   such that no triangle would be polished.  What a mesh is like then hangs less on how it came there
     finish         what happens to a mesh that is stuck: "stop" leaves it valid where it is; "improve" warps it the rest
                    of the way and untangles it, if a valid mesh exists there
     control        how the length of the steps changes
@@ -66,6 +71,7 @@ class DeformOptions:
         default_factory=lambda: SmoothOptions(power=1, max_iterations=10, energy_tolerance=1e-3)
     )
     improve: ImproveOptions = field(default_factory=ImproveOptions)
+    reference: MeshBatch | None = None
     finish: Literal["stop", "improve"] = "stop"
     control: StepControl = field(default_factory=StepControl)
 

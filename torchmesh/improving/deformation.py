@@ -39,6 +39,7 @@ from ..warping.femwarp import (
     with_held,
 )
 from .deform_options import DeformOptions
+from .history import check_fits, towards_reference
 from .layered_motion import Path, with_layers
 from .motion import Motion, advance
 from .pipeline import improve
@@ -178,6 +179,8 @@ def _deform(
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
     given, batch = batch, with_held(batch, hold)
+    if options.reference is not None:
+        check_fits(batch, options.reference)
     asked = batch.with_points(checked_new_points(batch, new_points))
     unfit = unfit_goals(batch, asked.points)
     moving, target = batch, asked.points
@@ -312,6 +315,8 @@ def _arrived(
     if bool(warped.any()):
         rows = spread(warped, goal.point_offsets)
         mesh = put(mesh, warped, femwarp(mesh.select(warped), goal.points[rows]))
+    if options.reference is not None:
+        mesh = towards_reference(mesh, options.reference, motion.status == Status.VALID, options)
     after, report = improve(mesh, options.arrival, progress=progress, hold=task.follow)
     if report.regions is not None and task.follow is not None:
         # The edges of followers are no borders of regions.

@@ -388,6 +388,11 @@ class ImproveOptions:
         return self.travels and self.topology != "full"
 
     @property
+    def rounds_positions(self) -> bool:
+        """Whether valid meshes are worked on at rounded positions; what slides is bound to its curve."""
+        return not self.slides and self.topology != "full"
+
+    @property
     def weighs_gains(self) -> bool:
         """Whether a mesh that came valid must gain enough to be changed."""
         return self.least_gain is not None and self.topology != "full" and not self.remesh.sizes_asked

@@ -77,7 +77,7 @@ def strategy(o: ImproveOptions) -> list[Step]:
     """The steps of the whole job, in order."""
     if o.method == "paper":
         return [partial(step, o=o) for step in (find_faults, paper, certify)]
-    steps = [find_faults, round_positions, untangle_by_averaging]
+    steps = [find_faults, *([round_positions] if o.rounds_positions else []), untangle_by_averaging]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
     steps += [untangle_with_triangles_kept, end_the_tangled]
@@ -90,7 +90,8 @@ def strategy(o: ImproveOptions) -> list[Step]:
         steps += [polish_the_worst]
     if o.topology == "full":
         steps += [remove_where_there_is_no_room, remesh_the_valid]
-    steps += [put_back_what_stays]
+    if o.rounds_positions:
+        steps += [put_back_what_stays]
     if o.weighs_gains:
         steps += [without_little_gains]
     return [partial(step, o=o) for step in [*steps, compare_sizes, certify]]
@@ -191,8 +192,6 @@ def _averaged(state: State) -> MeshBatch:
 
 def round_positions(state: State, run: Runner, o: ImproveOptions) -> State:
     """Meshes that came valid are worked on at rounded positions, so that decisions do not hang on rounding errors."""
-    if o.slides or o.topology == "full":
-        return state
     mesh = rounded(state.mesh, state.running & (state.inverted_given == 0))
     return state if mesh is state.mesh else replace(state.at(mesh), rounded=mesh.points)
 
