@@ -53,7 +53,7 @@ class DeformOptions:
                    `improve.smooth` the steps
     improve        how the mesh is improved when it has arrived
     reference      the undeformed meshes, with as many vertices and triangles, and the same boundary and constrained
-                   edges, if the caller has them.  On arrival a mesh that would be improved, or that has other triangles,
+                   edges, if the caller has them.  On arrival a mesh that would be improved, or has other triangles,
                    becomes the reference, warped to the boundary, if that is good: within the bound, or, without one,
                    such that no triangle would be polished.  What a mesh is like then hangs less on how it came there
     finish         what happens to a mesh that is stuck: "stop" leaves it valid where it is; "improve" warps it the rest
