@@ -268,3 +268,18 @@ def test_times_that_a_new_file_does_not_state_are_named(tmp_path):
     path.write_text(path.read_text() + data_section("NodeData", "u", rows, 0.5) + data_section("NodeData", "v", rows))
     with pytest.warns(tm.MeshWarning, match=r"not carried over .*: times and steps of 'u'$"):
         tm.write(tmp_path / "b.vtu", tm.read(path), like=path)
+
+
+def test_partitions_and_further_groups_are_named_where_they_are_lost(tmp_path, gmsh_model):
+    path = text_file(tmp_path / "a.msh", *meshes.grid_arrays(2, 2))
+    lines = path.read_text().split("\n")
+    # Elements of version 2.2 with four tags: group, entity, number of partitions, partition.
+    path.write_text("\n".join(line.replace(" 2 2 ", " 2 4 ", 1).replace(" 0 0 ", " 0 0 1 1 ", 1) for line in lines))
+    assert Source.open(path).document.rest.elements[0].tags.shape[1] == 4
+    with pytest.warns(tm.MeshWarning, match="not carried over .*: partitions of elements$"):
+        tm.write(tmp_path / "b.vtu", tm.read(path), like=path)
+    tm.write(tmp_path / "b.msh", tm.read(path), like=path)
+    assert Source.open(tmp_path / "b.msh").document.rest.elements[0].tags.shape[1] == 4
+    several = gmsh_model[1][4.1, 0, 0]
+    with pytest.warns(tm.MeshWarning, match="further physical groups of entities"):
+        tm.write(tmp_path / "c.vtu", tm.read(several), like=several)

@@ -20,7 +20,7 @@ import numpy as np
 from ..fields import REGION_TAGS, region_tag
 from . import gmsh_read, gmsh_write
 from .format import ALL_BUT_POLYGONS, Document, Format
-from .gmsh_file import DATA_SECTIONS, data_head, data_name
+from .gmsh_file import DATA_SECTIONS, MshFile, data_head, data_name
 from .gmsh_new import new_file
 
 # The sections that are parsed and built anew.
@@ -66,7 +66,11 @@ class GmshFormat(Format):
             for name, payload in sections
             if name in DATA_SECTIONS and _is_timed(payload)
         ]
-        return [*(f"${name}" for name, _ in sections if name not in _KNOWN), *dict.fromkeys(timed)]
+        file: MshFile = document.rest
+        more = ["partitions of elements"] if any(block.tags.shape[1] > 2 for block in file.elements) else []
+        if target is not self and any(len(groups) > 1 for groups in gmsh_read.entity_groups(file).values()):
+            more.append("further physical groups of entities")
+        return [*(f"${name}" for name, _ in sections if name not in _KNOWN), *dict.fromkeys(timed), *more]
 
 
 def _is_timed(payload: bytes) -> bool:
