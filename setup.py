@@ -39,5 +39,7 @@ setup(
             optional=True,
             py_limited_api=True,
         )
-    ]
+    ],
+    # One wheel for a system serves all versions of Python from this one on.
+    options={"bdist_wheel": {"py_limited_api": "cp310"}},
 )
