@@ -59,7 +59,7 @@ class Draft:
         if like is not None and form.patches(like):
             if not same_rows:
                 raise MeshIOError(
-                    f"{path}: a {form.name} file is changed in place, and this mesh has other vertices, or elements in "
+                    f"{path}: {form.name} files are changed in place, and this mesh has other vertices, or elements in "
                     f"other regions, than {source}; without topology 'full', or in another format, it can be written"
                 )
             return cls(path, mesh, like, same_rows, True, source, dropped)
