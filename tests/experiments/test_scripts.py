@@ -14,13 +14,13 @@ SCRIPTS = sorted(
     if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
 )
 PAGES = [*ROOT.glob("*.md"), *FOLDER.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-NEEDS = {"experiments.quality.poisson": "skfem"}
+NEEDS = {"experiments.quality.poisson": "skfem", "experiments.simulation.channel": "skfem"}
 
 
 def test_there_are_scripts_in_every_group():
     groups = {path.parent.name for path in FOLDER.glob("*/__init__.py")} - {"shared"}
     assert {name.split(".")[1] for name in SCRIPTS} == groups == {
-        "paper", "quality", "robustness", "speed", "learning", "files"
+        "paper", "quality", "robustness", "speed", "learning", "files", "simulation"
     }  # fmt: skip
 
 

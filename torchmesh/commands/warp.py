@@ -29,7 +29,7 @@ EXAMPLES = (
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --steps auto",
     "torchmesh warp plate.msh bent.vtu --move 0,0,0.2,1:0,-0.1 --rotate hole:1:30:0.5,0.5",
     "torchmesh warp plate.vtu moved.vtu --displacement displacement",
-    "torchmesh warp plate.msh moved.vtu --move hole:1:0.2,0 --rigid hole:1:0.05 --steps auto",
+    "torchmesh warp plate.msh moved.vtu --move hole:1:0.1,0 --rigid hole:1:0.12 --steps auto",
 )
 
 

@@ -60,7 +60,7 @@ class MassMatrix:
         r = self.rows
         return (self.total * u).index_add(0, r.rows, r.weights * u.index_select(0, r.columns))
 
-    def solved(self, right: Tensor) -> Tensor:
+    def unknowns(self, right: Tensor) -> Tensor:
         """(V, C) the solution for each column of `right` (V, C); raises ConvergenceError."""
         columns = []
         for column in right.unbind(1):
@@ -80,7 +80,7 @@ class Projected(torch.autograd.Function):
     @staticmethod
     def forward(context: Any, right: Tensor, mass: MassMatrix) -> Tensor:
         context.mass = mass
-        return mass.solved(right)
+        return mass.unknowns(right)
 
     @staticmethod
     def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None]:

@@ -1,0 +1,53 @@
+"""Plots and a film of the simulation in the channel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from experiments.simulation.runs import Run, simulated
+from experiments.simulation.ways import WAYS, channel
+
+
+def draw(runs: dict[str, Run], out: Path) -> None:
+    """Drift, least angle and the time of meshing over the steps."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(3, 1, figsize=(8, 9), sharex=True, layout="constrained")
+    for name, run in runs.items():
+        axes[0].semilogy(np.maximum(run.drift, 1e-17), label=name)
+        axes[1].plot(run.angle)
+        axes[2].semilogy(1e3 * np.asarray(run.meshing))
+    for axis, label in zip(axes, ("drift of the heat", "least angle, degrees", "meshing, ms"), strict=True):
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    axes[2].set_xlabel("step")
+    figure.legend(loc="outside right upper", fontsize=8)
+    figure.savefig(out / "channel.png", dpi=110)
+    plt.close(figure)
+
+
+def film(out: Path, size: float, steps: int) -> None:
+    """The way of the guide, as a film."""
+    import matplotlib.pyplot as plt
+    from matplotlib.animation import FuncAnimation, PillowWriter
+
+    frames: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    way, method = WAYS["deform, when, L2"]
+    simulated(
+        channel(size), way, method, steps,
+        lambda run: frames.append((run.mesh.points.numpy(), run.mesh.triangles.numpy(), run.values.numpy())),
+    )  # fmt: skip
+    figure, axis = plt.subplots(figsize=(9, 3.2), layout="constrained")
+
+    def show(k: int) -> None:
+        axis.clear()
+        points, triangles, values = frames[k]
+        axis.tripcolor(*points.T, triangles, values, shading="gouraud", vmin=0, vmax=0.5)
+        axis.triplot(*points.T, triangles, color="white", lw=0.2, alpha=0.5)
+        axis.set_aspect("equal")
+        axis.set_axis_off()
+
+    FuncAnimation(figure, show, len(frames)).save(out / "channel.gif", PillowWriter(10))  # type: ignore[arg-type]
+    plt.close(figure)
