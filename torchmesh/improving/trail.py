@@ -41,6 +41,8 @@ def rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
 def has_rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
     """(B,) bool: some triangle of the mesh has other corners than before, or the mesh has more or fewer rows."""
     other = torch.zeros(len(after), dtype=torch.bool, device=after.points.device)
+    if before.triangles is after.triangles or torch.equal(before.triangles, after.triangles):
+        return other
     for name in ("point_offsets", "triangle_offsets"):
         other |= getattr(before, name).diff() != getattr(after, name).diff()
     if not bool(other.any()):

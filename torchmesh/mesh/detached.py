@@ -19,6 +19,10 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
+# What has no tensors in it.  Options are full of these, and looking into each would take longer than measuring a mesh.
+_PLAIN = frozenset({int, float, bool, str, type(None), torch.dtype, torch.device})
+
+
 class _Thread(threading.local):
     """inside: whether a function of ours is already at work in this thread."""
 
@@ -60,12 +64,16 @@ def detached(value: Any) -> Any:
 
     value  anything: tensors are looked for in meshes, options and other dataclasses, and in lists, tuples and dicts
     """
+    if type(value) in _PLAIN:
+        return value
     if isinstance(value, Tensor):
         return value.detach() if value.requires_grad else value
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         changed = {}
         for f in dataclasses.fields(value):
             old = getattr(value, f.name)
+            if type(old) in _PLAIN:
+                continue
             new = detached(old)
             if new is not old:
                 changed[f.name] = new
