@@ -31,7 +31,7 @@ VERBS = {
     "remesh": lambda rest, tangled, valid: tm.remesh(valid, FEW),
     "relax": lambda rest, tangled, valid: tm.relax(tangled),
     "femwarp": lambda rest, tangled, valid: tm.femwarp(rest, tangled.points),
-    "deform": lambda rest, tangled, valid: tm.deform(rest, tangled.points),
+    "deform": lambda rest, tangled, valid: tm.deform(rest, tangled.points.detach()),
     "largest_step": lambda rest, tangled, valid: tm.largest_step(rest, tangled.points),
     "diagnose": lambda rest, tangled, valid: tm.diagnose(tangled, "keep"),
     "size_field": lambda rest, tangled, valid: tm.size_field(valid),
@@ -74,7 +74,8 @@ def test_results_are_the_same_with_gradients_required_and_under_autocast(verb, d
         found = tensors(run(*with_grad))
     assert len(found) == len(expected)
     for a, b in zip(found, expected, strict=True):
-        assert not a.requires_grad
+        # A warp is differentiable in the goal of its boundary.
+        assert not a.requires_grad or (verb == "femwarp" and a is found[0])
         assert a.dtype == b.dtype
         assert torch.equal(a.nan_to_num(7.0), b.nan_to_num(7.0))
     if verb != "diagnose":
