@@ -16,9 +16,10 @@ import numpy as np
 
 from ..triangulating.arrays import Obstacle, among, distinct
 from ..triangulating.crossings import cross_properly, crossing_pairs
+from ..triangulating.immersed import triangulate_immersed
 from ..triangulating.placing import place_vertices
 from ..triangulating.polygon import loops_of, why_not_simple
-from ..triangulating.polygon_triangulation import locate, triangulate_polygon, triangulate_with
+from ..triangulating.polygon_triangulation import is_triangulation_of, locate, triangulate_polygon, triangulate_with
 from ..triangulating.recovery import recover
 from ..triangulating.touching import PlaneBoundary, of_own_sides, plane_boundary
 from ..triangulating.triangulation import Triangulation
@@ -37,6 +38,7 @@ class Cavity:
     fixed     (V,) bool, vertices that must stay
     keep      (V,) bool, vertices that stay where possible
     dtype     the precision of the positions to choose
+    over_itself  the boundary may lie over itself, where it is one loop
     """
 
     points: np.ndarray
@@ -45,17 +47,20 @@ class Cavity:
     fixed: np.ndarray
     keep: np.ndarray
     dtype: np.dtype
+    over_itself: bool = False
 
     def filled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | Obstacle:
         """The triangles (T, 3), the points, and which of them moved (V,) bool; or what is in the way."""
         obstacle = why_not_simple(self.points, loops_of(self.boundary))
         plane = None if obstacle is None else self._touching(obstacle)
-        if obstacle and plane is None:
-            return obstacle
         spacing, on_boundary = self._spacing()
+        if obstacle and plane is None and not self.over_itself:
+            return obstacle
         anchors, free = np.flatnonzero(self.fixed & ~on_boundary), ~self.fixed & ~on_boundary
         stay = self._apart(np.flatnonzero(free & self.keep))
-        if plane is None:
+        if obstacle and plane is None:
+            work = self._immersed(obstacle, spacing, anchors, stay)
+        elif plane is None:
             work = self._triangulated(loops_of(self.boundary), spacing, anchors, stay, self.dangling)
         else:
             lines, loops = plane.lines, loops_of(plane.open_ends)
@@ -117,6 +122,24 @@ class Cavity:
         if work is not None and among(anchors, work.corners).all():
             return work
         return self._step_by_step(loops, spacing, anchors, stay, segments)
+
+    def _immersed(
+        self, obstacle: Obstacle, spacing: np.ndarray, anchors: np.ndarray, stay: np.ndarray
+    ) -> Triangulation | Obstacle:
+        """The disc that a boundary of one loop bounds although it lies over itself, or the `obstacle`."""
+        loops = loops_of(self.boundary)
+        if len(loops) != 1 or len(self.dangling) or len(loops[0]) != len(self.boundary):
+            return obstacle
+        corners = triangulate_immersed(self.points, loops[0])
+        if corners is None or not is_triangulation_of(self.points, corners, self.boundary):
+            return obstacle
+        work = Triangulation(self.points.copy(), corners, spacing)
+        work.flip_to_delaunay(np.arange(len(corners)))
+        refused = _insert(work, anchors)
+        if len(refused):
+            return Obstacle("the fixed vertex {} lies outside its region, or on its boundary", (int(refused[0]),))
+        _insert(work, stay)
+        return work
 
     def _step_by_step(
         self,

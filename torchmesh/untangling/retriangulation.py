@@ -207,6 +207,8 @@ class _Work:
                 reason = self.rebuild(rows, outer)
                 final = bool(reason) and (len(rows) == size[region[rows[0]]] or self._crosses_itself(rows, outer))
                 if final:
+                    reason = self.rebuild(rows, outer, over_itself=True)
+                if reason and final:
                     reasons.append(reason)
                 if not reason or final:
                     wanted[rows] = False
@@ -230,10 +232,11 @@ class _Work:
         parts = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
         return [(rows[part], outer[part].ravel()) for part in parts if len(part)]
 
-    def rebuild(self, rows: np.ndarray, outer: np.ndarray) -> str:
+    def rebuild(self, rows: np.ndarray, outer: np.ndarray, over_itself: bool = False) -> str:
         """Make the triangles of a component anew; returns "", or why that is impossible, with nothing changed.
 
         rows, outer  as from `components`
+        over_itself  the boundary may lie over itself
         """
         vertices, local = np.unique(self.triangles[rows], return_inverse=True)
         local = local.reshape(-1, 3)
@@ -246,6 +249,7 @@ class _Work:
             fixed=self.fixed[vertices],
             keep=self.keep[vertices],
             dtype=self.dtype,
+            over_itself=over_itself,
         )
         built = cavity.filled()
         if isinstance(built, Obstacle):
