@@ -1,5 +1,6 @@
 """What the tests of solver decks share: a square in two materials with one flip to make, as text of each solver."""
 
+import warnings
 from pathlib import Path
 
 import torch
@@ -18,6 +19,17 @@ def flip_and_move(mesh: tm.MeshBatch) -> tm.MeshBatch:
     points[6] = torch.tensor([1 / 3, 0.55], dtype=points.dtype)
     triangles[4], triangles[5] = torch.tensor([1, 2, 4]), torch.tensor([2, 5, 4])
     return tm.MeshBatch.from_arrays(points, triangles, mesh.fixed, mesh.constrained_edges)
+
+
+def stale(source: Path) -> list[str]:
+    """What is said of values at nodes when the deck is written with vertex 6 moved and fields interpolated."""
+    mesh, target = tm.read(source), source.with_stem("moved")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        tm.write(target, flip_and_move(mesh), like=source, fields="interpolate")
+        tm.write(target, mesh, like=source, fields="interpolate")  # nothing has moved: nothing is said
+    start = f"{target}: values at nodes that moved stay as they were: "
+    return [str(one.message).removeprefix(start) for one in told if str(one.message).startswith(start)]
 
 
 def changed_lines(before: str | Path, after: Path) -> list[tuple[str, str]]:

@@ -27,6 +27,7 @@ class Draft:
     source     the path of the file that is followed
     dropped    names for what of that file has no place in the new mesh or in the new format
     unheld     names for what the format cannot hold of the rest
+    stale      names for values at nodes that moved, which stay as they were in a file that is changed in place
     """
 
     path: Path
@@ -37,6 +38,7 @@ class Draft:
     source: Path | None = None
     dropped: tuple[str, ...] = ()
     unheld: tuple[str, ...] = ()
+    stale: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -47,6 +49,7 @@ class Draft:
         same_rows: bool = False,
         source: Path | None = None,
         dropped: tuple[str, ...] = (),
+        stale: tuple[str, ...] = (),
     ) -> "Draft":
         """The file follows `like` where that has the same format: in text or binary, version, and content that meshio's
         mesh cannot hold.  Content that is tied to rows is taken only under `same_rows`.
@@ -62,14 +65,15 @@ class Draft:
                     f"{path}: {form.name} files are changed in place, and this mesh has other vertices, or elements in "
                     f"other regions, than {source}; without topology 'full', or in another format, it can be written"
                 )
-            return cls(path, mesh, like, same_rows, True, source, dropped)
+            return cls(path, mesh, like, same_rows, True, source, dropped, (), stale)
         fitted, unheld = form.fit(mesh)
         return cls(path, fitted, like, same_rows, False, source, dropped, tuple(sorted(unheld)))
 
     @property
     def lost(self) -> list[str]:
-        """Names for everything that the file will not hold."""
-        return list(dict.fromkeys([*self.dropped, *self.unheld]))
+        """Names for everything that the file will not hold, or not as it should be."""
+        stale = [f"values of {name} that moved" for name in self.stale]
+        return list(dict.fromkeys([*self.dropped, *self.unheld, *stale]))
 
     def tell(self) -> None:
         """Gives a MeshWarning that names what is lost."""
@@ -77,11 +81,17 @@ class Draft:
             warn(f"{self.path}: not carried over from {self.source}: {', '.join(self.dropped)}")
         if self.unheld:
             warn(f"{self.path}: {format_of(self.path).name} files do not hold {', '.join(self.unheld)}; dropped")
+        if self.stale:
+            warn(f"{self.path}: values at nodes that moved stay as they were: {', '.join(self.stale)}")
 
     def refuse(self) -> None:
         """Raises MeshIOError if anything is lost."""
-        if self.lost:
-            raise MeshIOError(f"{self.path}: not written, because it would not hold {', '.join(self.lost)} (strict)")
+        held = dict.fromkeys([*self.dropped, *self.unheld])
+        reasons = [f"it would not hold {', '.join(held)}"] if held else []
+        if self.stale:
+            reasons.append(f"values at nodes that moved would stay as they were: {', '.join(self.stale)}")
+        if reasons:
+            raise MeshIOError(f"{self.path}: not written, because {', and '.join(reasons)} (strict)")
 
     def save(self) -> None:
         """Writes the file, whole or not at all.  Raises MeshIOError."""

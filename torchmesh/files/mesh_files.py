@@ -145,7 +145,16 @@ def draft(
     if correspondence.changed and document.format == format_of(path).name:
         dropped += document.by_element
     content.points = _in_space(path, content.points, mesh, document)
-    return Draft.of(path, content, document, same_rows, like.path, tuple(dropped))
+    stale = [] if fields is None or not same_rows else _stale(document, content.points)
+    return Draft.of(path, content, document, same_rows, like.path, tuple(dropped), tuple(stale))
+
+
+def _stale(document: Document, points: np.ndarray) -> list[str]:
+    """Names for values of `document` at nodes that are somewhere else now, with how many nodes these are."""
+    width = min(points.shape[1], document.mesh.points.shape[1])
+    moved = (points[:, :width] != document.mesh.points[:, :width]).any(1)
+    counts = {name: int(moved[np.unique(rows)].sum()) for name, rows in document.at_nodes.items()}
+    return [f"{name} at {count} node{'' if count == 1 else 's'}" for name, count in counts.items() if count]
 
 
 def _new_content(mesh: MeshBatch) -> meshio.Mesh:

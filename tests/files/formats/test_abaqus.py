@@ -1,12 +1,14 @@
 """Abaqus decks: what is not moved or flipped stays to the letter, and loads stay on their edges."""
 
+import json
 import re
 import warnings
 
 import pytest
-from decks import POINTS, TRIANGLES, changed_lines, flip_and_move
+from decks import POINTS, TRIANGLES, changed_lines, flip_and_move, stale
 
 import torchmesh as tm
+from torchmesh.commands.main import main
 from torchmesh.files.formats.abaqus import ABAQUS
 from torchmesh.files.formats.abaqus_cards import element_kind
 from torchmesh.files.source import Source
@@ -189,3 +191,55 @@ def test_a_value_by_element_is_named_when_elements_change(tmp_path):
     mesh = tm.read(tmp_path / "in.inp")
     with pytest.warns(tm.MeshWarning, match=r"values by element of \*INITIAL"):
         tm.write(tmp_path / "out.inp", flip_and_move(mesh), like=tmp_path / "in.inp")
+
+
+@pytest.mark.parametrize(
+    ("cards", "said"),
+    [
+        ("*Temperature\n70, 20.\n10, 30.\n", ["*TEMPERATURE at 1 node"]),
+        ("*Temperature\nALL, 20.\n60, 30.\n", ["*TEMPERATURE at 1 node"]),
+        ("*Initial Conditions, type=Temperature\n70, 2D1\n", ["*INITIAL CONDITIONS TYPE=TEMPERATURE at 1 node"]),
+        ("*Boundary\n70, 1, 2, 1e-3\n*Cload\nALL, 2, -3.\n", ["*BOUNDARY at 1 node, *CLOAD at 1 node"]),
+        ("*Temperature, input=t.txt\n", ["*TEMPERATURE at 1 node"]),
+        # A field that is the same everywhere, supports of zero and names, and values at nodes that stay.
+        ("*Initial Conditions, type=TEMPERATURE\nALL, 20.\n", []),
+        ("*Boundary\n70, 1, 2\n70, 3, 3, 0.\n70, ENCASTRE\nLEFT, 1, 1, 0.5\n", []),
+        ("*Cload\n70, 1, 0.\n20, 1, 5.\n*Temperature\nLEFT, 20.\n30, 25.\n", []),
+        ("*Temperature\nALL, 0.\n", []),
+    ],
+)
+def test_values_at_nodes_that_moved_are_named(tmp_path, cards, said):
+    (tmp_path / "in.inp").write_text(DECK + cards)
+    assert stale(tmp_path / "in.inp") == said
+    assert (tmp_path / "moved.inp").read_text().endswith(cards)
+
+
+def test_values_at_nodes_of_an_instance_are_found(tmp_path):
+    part = f"*Part, name=P\n{DECK[DECK.index('*Node') : DECK.index('*Elset')]}*End Part\n"
+    part += "*Assembly, name=A\n*Instance, name=P-1, part=P\n*End Instance\n"
+    part += "*Nset, nset=MID, instance=P-1\n70,\n*End Assembly\n"
+    (tmp_path / "in.inp").write_text(part + "*Temperature\nMID, 3.\n*Cload\nP-1.ALL, 1, 2.\n*Field\nP-1.70, 1.\n")
+    assert stale(tmp_path / "in.inp") == ["*TEMPERATURE at 1 node, *CLOAD at 1 node, *FIELD at 1 node"]
+
+
+def test_a_temperature_at_a_node_is_no_value_of_the_element_of_that_number(tmp_path):
+    deck = DECK.replace("70,", "5,").replace(", 70", ", 5")
+    (tmp_path / "in.inp").write_text(deck + "*Initial Conditions, type=TEMPERATURE\n5, 20.\n")
+    document = ABAQUS.read(tmp_path / "in.inp")
+    assert document.by_element == ()
+    assert document.at_nodes["*INITIAL CONDITIONS TYPE=TEMPERATURE"].tolist() == [6]
+
+
+def test_strict_refuses_values_at_nodes_that_would_move(tmp_path, capsys):
+    source, target = tmp_path / "in.inp", tmp_path / "out.inp"
+    source.write_text(DECK.replace("70,  0.25,0.5", "70,  1.5,0.5") + "*Temperature\n70, 20.\n")
+    line = "values at nodes that moved {} as they were: *TEMPERATURE at 1 node"
+    assert main(["improve", str(source), str(target), "--strict", "-q"]) == 2
+    assert f"not written, because {line.format('would stay')} (strict)" in capsys.readouterr().err
+    assert not target.exists()
+    assert main(["improve", str(source), str(target), "-q", "--report", str(tmp_path / "r.json")]) == 0
+    assert capsys.readouterr().err.count(line.format("stay")) == 1
+    lost = json.loads((tmp_path / "r.json").read_text())["lost"]
+    assert lost == ["values of *TEMPERATURE at 1 node that moved"]
+    # Values that are to ride with their nodes are right as they stand.
+    assert main(["improve", str(source), str(target), "-q", "--strict", "--fields", "carry"]) == 0

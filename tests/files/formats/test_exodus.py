@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from decks import POINTS, TRIANGLES, flip_and_move
+from decks import POINTS, TRIANGLES, flip_and_move, stale
 
 import torchmesh as tm
 from torchmesh.files.source import Source
@@ -116,3 +116,17 @@ def test_another_format_names_what_is_lost(tmp_path):
     source = write_two_blocks(tmp_path / "in.e")
     with pytest.warns(tm.MeshWarning, match="block name 'steel', block name 'rubber', side set 'outlet'"):
         tm.write(tmp_path / "out.vtu", tm.read(source), like=source)
+
+
+def test_values_of_node_sets_at_nodes_that_moved_are_named(tmp_path):
+    path = write_two_blocks(tmp_path / "in.exo")
+    with netCDF4.Dataset(path, "r+") as d:
+        d["node_ns1"][:] = [7, 2]
+        factors = d.createVariable("dist_fact_ns1", "f8", ("num_nod_ns1",))
+        factors[:] = [1.0, 1.0]
+    assert stale(path) == []
+    with netCDF4.Dataset(path, "r+") as d:
+        d["dist_fact_ns1"][:] = [1.0, 2.0]
+        d.createVariable("vals_nset_var1ns1", "f8", ("time_step", "num_nod_ns1"))[:] = [[3.0, 4.0]]
+    factors, results = "distribution factors of node set 'bottom'", "results of node set 'bottom'"
+    assert stale(path) == [f"{factors} at 1 node, {results} at 1 node"]

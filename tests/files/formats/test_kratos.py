@@ -3,7 +3,7 @@
 import warnings
 
 import pytest
-from decks import POINTS, TRIANGLES, changed_lines, flip_and_move
+from decks import POINTS, TRIANGLES, changed_lines, flip_and_move, stale
 
 import torchmesh as tm
 from torchmesh.files.source import Source
@@ -118,3 +118,23 @@ def test_another_format_names_what_is_lost(tmp_path):
     (tmp_path / "in.mdpa").write_text(PART)
     with pytest.warns(tm.MeshWarning, match="Properties 1, NodalData TEMPERATURE"):
         tm.write(tmp_path / "out.vtu", tm.read(tmp_path / "in.mdpa"), like=tmp_path / "in.mdpa")
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("TEMPERATURE", "1 0 20.5\n7 0 30\n", ["NodalData TEMPERATURE at 1 node"]),
+        ("VELOCITY", "7 1 [3] (0, 0, 1.5)\n", ["NodalData VELOCITY at 1 node"]),
+        # A value at a node that stays, supports of zero, a field that is the same everywhere, and a flag.
+        ("TEMPERATURE", "1 0 20.5\n", []),
+        ("DISPLACEMENT_X", "7 1 0.0\n", []),
+        ("VELOCITY", "7 1 [3] (0, 0, 0)\n", []),
+        ("TEMPERATURE", "".join(f"{k} 0 20\n" for k in range(1, 8)), []),
+        ("BOUNDARY", "7\n", []),
+    ],
+)
+def test_values_at_nodes_that_moved_are_named(tmp_path, name, values, said):
+    block = f"Begin NodalData {name}\n{values}End NodalData"
+    (tmp_path / "in.mdpa").write_text(PART.replace("Begin NodalData TEMPERATURE\n1 0 20.5\nEnd NodalData", block))
+    assert stale(tmp_path / "in.mdpa") == said
+    assert block in (tmp_path / "moved.mdpa").read_text()

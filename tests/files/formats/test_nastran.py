@@ -3,7 +3,7 @@
 import warnings
 
 import pytest
-from decks import POINTS, TRIANGLES, changed_lines, flip_and_move
+from decks import POINTS, TRIANGLES, changed_lines, flip_and_move, stale
 
 import torchmesh as tm
 from torchmesh.files.formats.nastran_cards import real, real_text
@@ -146,3 +146,22 @@ def test_pressures_and_angles_of_single_elements_are_named(tmp_path):
     (tmp_path / "in.bdf").write_text(HEAD + bulk + load + TAIL)
     with pytest.warns(tm.MeshWarning, match="THETA.*PLOAD4 by element"):
         tm.write(tmp_path / "out.bdf", flip_and_move(tm.read(tmp_path / "in.bdf")), like=tmp_path / "in.bdf")
+
+
+@pytest.mark.parametrize(
+    ("cards", "said"),
+    [
+        ("TEMP,4,1,20.,7,30.\n", ["TEMP at 1 node"]),
+        ("TEMP           4       7     3.+1\n", ["TEMP at 1 node"]),
+        ("FORCE,4,7,,5.,1.,0.,0.\nSPCD,4,1,1,.5,7,2,.5\n", ["FORCE at 1 node, SPCD at 1 node"]),
+        ("SPC,4,7,12,.25\nMOMENT,4,7,,0.,1.,0.,0.\n", ["SPC at 1 node"]),
+        # Supports and loads of zero, values at nodes that stay, and a field that is the same everywhere.
+        ("SPC,4,7,12,0.0\nSPC1,4,12,7\nSPCD,4,7,1,\nFORCE,4,7,,0.,1.,0.,0.\nFORCE,4,2,,1.,1.,0.,0.\n", []),
+        ("TEMP,4,1,20.,2,20.,3,20.\nTEMP,4,4,20.,5,20.,6,2+1\nTEMP,4,7,20.\n", []),
+        ("TEMP,4,99,20.\n", []),
+    ],
+)
+def test_values_at_nodes_that_moved_are_named(tmp_path, cards, said):
+    (tmp_path / "in.bdf").write_text(HEAD + free() + cards + TAIL)
+    assert stale(tmp_path / "in.bdf") == said
+    assert cards in (tmp_path / "moved.bdf").read_text()

@@ -14,12 +14,24 @@ import numpy as np
 from .abaqus_cards import Card, cards, element_kind, items, rows, set_members, sides_start
 from .deck import Deck, DeckFormat, SideLine, read_lines, side_groups, triangles_of
 from .format import LINEAR, Document
+from .nodal_values import NodalValues
 
 # Cards whose data lines begin with an element or an element set, and go on with the label of a face.
 _FACES = ("SURFACE", "DLOAD", "FILM", "DFLUX", "RADIATE", "DECHARGE", "DECURRENT", "FOUNDATION", "BASE MOTION")
 
 # Cards whose data lines give values to single elements, or to element sets.
-_BY_ELEMENT = ("INITIAL CONDITIONS", "DISTRIBUTION", "ELEMENT RESPONSE", "NODAL THICKNESS")
+_BY_ELEMENT = ("INITIAL CONDITIONS", "DISTRIBUTION", "ELEMENT RESPONSE")
+
+# Cards whose data lines give values to nodes, or node sets, and the first item that is a value.
+_FIELDS = {"TEMPERATURE": 1, "FIELD": 1, "PRESSURE STRESS": 1, "MASS FLOW RATE": 1, "NODAL THICKNESS": 1}
+_LOADS = {"BOUNDARY": 3, "CLOAD": 2, "CFLUX": 2, "CECHARGE": 2, "CECURRENT": 2, "CFLOW": 2}
+
+# The types of *INITIAL CONDITIONS whose data lines begin with a node, and the first item that is a value.
+_INITIAL = {
+    **dict.fromkeys(("VELOCITY", "FLUID VELOCITY", "DISPLACEMENT"), 2),
+    **dict.fromkeys(("TEMPERATURE", "FIELD", "PORE PRESSURE", "PRESSURE", "TOTAL PRESSURE", "MASS FLOW",
+                     "MASS FLOW RATE", "CONCENTRATION", "SATURATION", "RATIO", "RELATIVE DENSITY"), 1),
+}  # fmt: skip
 
 _FACE = re.compile(r"(EDLD|EDNOR|EDTRA|EDSHR|EDMOM|[PSFRE])(\d)([A-Z]*)", re.IGNORECASE)
 
@@ -35,7 +47,8 @@ class AbaqusFormat(DeckFormat):
         reader = _Reader(read_lines(path))
         mesh, deck = reader.mesh(), reader.deck()
         by_element = tuple(dict.fromkeys(reader.by_element))
-        return Document(mesh, self.name, rest=deck, sides=reader.sides, by_element=by_element)
+        at_nodes = reader.at_nodes()
+        return Document(mesh, self.name, rest=deck, sides=reader.sides, by_element=by_element, at_nodes=at_nodes)
 
     def number(self, value: float, width: int) -> str:
         digits = (f"{value:.{n}g}" for n in range(16, 0, -1))
@@ -111,6 +124,24 @@ class _Reader:
         points = np.array(self.points, np.int64).reshape(-1, 3, 4)
         return Deck(self.lines, points, corners, self.labels, self.side_lines, list(others), ", ")
 
+    def at_nodes(self) -> dict[str, np.ndarray]:
+        """The nodes with values that the deck keeps to the letter, after `mesh`."""
+        found = NodalValues()
+        for card in self.cards:
+            first, load = _first_value(card), card.keyword in _LOADS
+            if first is None:
+                continue
+            kind = card.params.get("TYPE", "") if card.keyword == "INITIAL CONDITIONS" else ""
+            name = f"*{card.keyword}" + (f" TYPE={kind.upper()}" if kind else "")
+            if "INPUT" in card.params or "FILE" in card.params:  # the values stand elsewhere, for any node
+                for node, label in enumerate(self.labels):
+                    found.add(name, node, [label], load=load)
+            for line in card.data:
+                texts = [text for _, _, text in items(self.lines[line])]
+                for key in self._named("NSET", texts[0], self._scope(card)) if texts and texts[0] else []:
+                    found.add(name, self.nodes[key], texts[1:], first - 1, load, _real)
+        return found.rows(len(self.labels))
+
     def _read_nodes(self, card: Card) -> None:
         added = []
         for record in rows(card, self.lines):
@@ -121,7 +152,7 @@ class _Reader:
             line, _, end, _ = record[-1]
             for axis in range(1, 4):
                 text = record[axis][3] if axis < len(record) else ""
-                values.append(float(re.sub("[dD]", "e", text)) if text else 0.0)
+                values.append(_real(text) if text else 0.0)
                 if axis < len(record):
                     spans.append((*record[axis][:3], 0))
                 else:  # the coordinate is left out: it would stand behind the last one
@@ -196,7 +227,8 @@ class _Reader:
         for number, card in enumerate(self.cards):
             if card.keyword == "SURFACE" and card.params.get("TYPE", "ELEMENT").upper() != "ELEMENT":
                 continue
-            for line in card.data if card.keyword in (*_FACES, *_BY_ELEMENT) else []:
+            by_element = card.keyword in _BY_ELEMENT and _first_value(card) is None
+            for line in card.data if card.keyword in _FACES or by_element else []:
                 found = items(self.lines[line])
                 named = self._named("ELSET", found[0][2], self._scope(card)) if found else []
                 side = _FACE.fullmatch(found[1][2]) if len(found) > 1 and card.keyword in _FACES else None
@@ -274,6 +306,19 @@ class _Reader:
         names = _short_names(list(groups))
         for key, found in groups.items():
             mesh.point_sets[names[key]] = np.array([self.nodes[name] for name in dict.fromkeys(found)], np.int64)
+
+
+def _first_value(card: Card) -> int | None:
+    """The first item of a data line of the card that is a value at a node; None for a card without such values."""
+    if card.keyword == "INITIAL CONDITIONS":
+        return _INITIAL.get(" ".join(card.params.get("TYPE", "").upper().split()))
+    if card.keyword == "DISTRIBUTION":
+        return 1 if card.params.get("LOCATION", "").upper() == "NODE" else None
+    return (_FIELDS | _LOADS).get(card.keyword)
+
+
+def _real(text: str) -> float:
+    return float(re.sub("[dD]", "e", text))
 
 
 def _short_names(keys: list[tuple[str, str]]) -> dict[tuple[str, str], str]:

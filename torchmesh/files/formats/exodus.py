@@ -5,6 +5,7 @@ results that are carried over are written anew.  Blocks and element sets bound r
 https://sandialabs.github.io/seacas-docs/exodusII-new.pdf
 """
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,8 @@ class ExodusFormat(MeshioFormat):
             _read_sets(data, mesh, file)
             _read_results(data, mesh, file)
             by_element = [f"attributes of block {n}" for n in file.blocks if _varies(data, f"attrib{n}")]
-        return Document(mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element))
+            at_nodes = _values_of_node_sets(data)
+        return Document(mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element), at_nodes=at_nodes)
 
     def patches(self, document: Document) -> bool:
         return isinstance(document.rest, ExodusFile)
@@ -214,6 +216,21 @@ def _read_sets(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:
             members = np.asarray(data.variables[f"elem_els{number}"][:], np.int64) - 1
             own = [members[(members >= starts[n - 1]) & (members < starts[n])] - starts[n - 1] for n in file.blocks]
             mesh.cell_sets[name] = own
+
+
+def _values_of_node_sets(data: Any) -> dict[str, np.ndarray]:
+    """The nodes of each node set whose distribution factors or results differ from node to node."""
+    found: dict[str, np.ndarray] = {}
+    for number, name in enumerate(_names(data, "ns_names", _size(data, "num_node_sets"), "node_set"), 1):
+        if f"node_ns{number}" not in data.variables:
+            continue
+        rows = np.asarray(data.variables[f"node_ns{number}"][:], np.int64) - 1
+        if _varies(data, f"dist_fact_ns{number}"):
+            found[f"distribution factors of node set {name!r}"] = rows
+        results = [v for v in data.variables if re.fullmatch(rf"vals_nset_var\d+ns{number}", v)]
+        if any(bool((np.diff(np.asarray(data.variables[v][:])) != 0).any()) for v in results):
+            found[f"results of node set {name!r}"] = rows
+    return found
 
 
 def _read_results(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:

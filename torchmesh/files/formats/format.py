@@ -32,6 +32,8 @@ class Document:
                        elements; these edges must stay
     tied               vertices that the file pairs with others, so that they must not slide
     by_element         names for what the file says of single elements that a flip leaves without a meaning
+    at_nodes           rows of nodes whose values stay to the letter when the file is changed in place, by the name of
+                       what gives them; only values that need not be right where the nodes move
     skipped            names for what of the file was not read
     """
 
@@ -43,6 +45,7 @@ class Document:
     sides: dict[str, np.ndarray] = field(default_factory=dict)
     tied: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     by_element: tuple[str, ...] = ()
+    at_nodes: dict[str, np.ndarray] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
 
 

@@ -5,6 +5,7 @@ and values that groups of elements share bound regions.  Conditions name their n
 them.  https://kratosmultiphysics.github.io/Kratos/pages/Kratos/For_Developers/IO/Input-data.html
 """
 
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ import numpy as np
 
 from .deck import Deck, DeckFormat, read_lines
 from .format import ALL_BUT_POLYGONS, Document
+from .nodal_values import NodalValues
 
 PROPERTIES = "kratos:properties"
 
@@ -39,7 +41,10 @@ class KratosFormat(DeckFormat):
         deck = Deck(reader.lines, points, corners, reader.labels, [], list(reader.cards))
         mesh, by_element = reader.mesh(), reader.by_element()
         several = sum(kind == "triangle" and name != "Elements" for name, kind in reader.blocks) > 0
-        return Document(mesh, self.name, rest=deck, repeats_triangles=several, by_element=tuple(by_element))
+        at_nodes = reader.values.rows(len(reader.nodes))
+        return Document(
+            mesh, self.name, rest=deck, repeats_triangles=several, by_element=tuple(by_element), at_nodes=at_nodes
+        )
 
     def number(self, value: float, width: int) -> str:
         return repr(value)
@@ -67,6 +72,8 @@ class _Reader:
     sets: dict[tuple[str, str], list[str]] = field(default_factory=dict)
     data: dict[str, dict[str, str]] = field(default_factory=dict)
     cards: dict[str, None] = field(default_factory=dict)
+    nodal: dict[str, list[_Word]] = field(default_factory=dict)
+    values: NodalValues = field(default_factory=NodalValues)
 
     def run(self) -> None:
         """Reads all blocks.  Raises ValueError for a file that is cut short or refers to nodes that it lacks."""
@@ -80,6 +87,9 @@ class _Reader:
             elif name in ("ElementalData",):
                 self._read_data(rest[0] if rest else "", words)
                 self.cards[path[-1]] = None
+            elif name == "NodalData":
+                self.nodal.setdefault(rest[0] if rest else "", []).extend(words)
+                self.cards[path[-1]] = None
             elif match := re.fullmatch(r"(?:SubModelPart|Mesh)(Nodes|Elements|Conditions|Geometries)", name):
                 owner = ".".join(p.split()[-1] if p.startswith("SubModelPart") else p for p in path[:-1])
                 self.sets.setdefault((match[1], owner), []).extend(word[3] for word in words)
@@ -89,6 +99,7 @@ class _Reader:
                 self.cards[" of ".join(reversed(path))] = None
         if not self.nodes or not self.blocks:
             raise ValueError("it has no nodes or no elements")
+        self._read_nodal_values()
         self.corners = [spans for key, found in corners.items() if key[1] == "triangle" for spans in found]
 
     def _read_nodes(self, words: list[_Word]) -> None:
@@ -130,10 +141,16 @@ class _Reader:
 
     def _read_data(self, name: str, words: list[_Word]) -> None:
         """Values of elements, one a line."""
-        lines: dict[int, list[str]] = {}
-        for line, _, _, text in words:
-            lines.setdefault(line, []).append(text)
-        self.data[name] = {texts[0]: " ".join(texts[1:]) for texts in lines.values()}
+        self.data[name] = {texts[0]: " ".join(texts[1:]) for texts in _by_line(words)}
+
+    def _read_nodal_values(self) -> None:
+        """Notes the values at nodes, one a line: node, is it held there, value.  Flags have no value."""
+        for name, words in self.nodal.items():
+            for label, *texts in _by_line(words):
+                if label in self.nodes:
+                    # The components of a vector stand between brackets: [3] (0, 0, 1).
+                    parts = re.findall(r"[^\s(),]+", re.sub(r"\[\d+\]", " ", " ".join(texts)))
+                    self.values.add(f"NodalData {name}", self.nodes[label], parts, 1)
 
     def mesh(self) -> meshio.Mesh:
         """The mesh, with properties as cell data and sub model parts as sets."""
@@ -167,6 +184,12 @@ class _Reader:
     def by_element(self) -> list[str]:
         """The values that nearly each element has its own of."""
         return [f"ElementalData {name}" for name, values in self.data.items() if not _shared(values)]
+
+
+def _by_line(words: list[_Word]) -> Iterator[list[str]]:
+    """The texts of the words of each line."""
+    for _, texts in itertools.groupby(words, lambda word: word[0]):
+        yield [text for _, _, _, text in texts]
 
 
 def _shared(values: dict[str, str]) -> bool:

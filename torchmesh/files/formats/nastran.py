@@ -15,6 +15,7 @@ import numpy as np
 from .deck import Deck, DeckFormat, SideLine, read_lines, side_groups, triangles_of
 from .format import ALL_BUT_POLYGONS, Document
 from .nastran_cards import Entry, entries, real, real_text
+from .nodal_values import NodalValues
 
 PROPERTY = "nastran:ref"
 
@@ -39,6 +40,15 @@ _WITHOUT_PROPERTY = ("CONROD", "PLOTEL", "CONM2")
 # Loads on whole elements: the fields of element numbers, THRU among them.
 _PRESSURES = {"PLOAD2": range(2, 8), "PLOAD4": (1, 6, 7), "QBDY3": range(4, 8)}
 
+# Entries with values at nodes: the fields of each node and of its value.
+_FIELDS = {"TEMP": ((1, 2), (3, 4), (5, 6)), "TIC": ((1, 3), (1, 4))}
+_LOADS = {
+    **dict.fromkeys(("SPC", "SPCD", "DAREA"), ((1, 3), (4, 6))),
+    **dict.fromkeys(("FORCE", "MOMENT"), ((1, 3),)),
+    **dict.fromkeys(("FORCE1", "FORCE2", "MOMENT1", "MOMENT2"), ((1, 2),)),
+    "SLOAD": ((1, 2), (3, 4), (5, 6)),
+}
+
 
 @dataclass(frozen=True)
 class NastranFormat(DeckFormat):
@@ -53,7 +63,8 @@ class NastranFormat(DeckFormat):
         cards = [name for name in dict.fromkeys([*reader.control, *reader.found]) if name not in known]
         deck = Deck(reader.lines, points, corners, reader.labels, reader.side_lines, cards, ",")
         sides = side_groups(reader.side_lines, triangles_of(mesh))
-        return Document(mesh, self.name, rest=deck, sides=sides, by_element=tuple(reader.by_element))
+        by_element, at_nodes = tuple(reader.by_element), reader.values.rows(len(reader.nodes))
+        return Document(mesh, self.name, rest=deck, sides=sides, by_element=by_element, at_nodes=at_nodes)
 
     def number(self, value: float, width: int) -> str:
         # Solvers cut numbers in free fields to sixteen characters at most.
@@ -88,6 +99,7 @@ class _Reader:
     found: list[str] = field(default_factory=list)
     side_lines: list[SideLine] = field(default_factory=list)
     by_element: list[str] = field(default_factory=list)
+    values: NodalValues = field(default_factory=NodalValues)
 
     def mesh(self) -> meshio.Mesh:
         """The mesh, with properties as cell data and shared pressures as sets."""
@@ -107,6 +119,7 @@ class _Reader:
         self._bind_pressures(bulk, mesh)
         for entry in bulk:
             self._read_side(entry, mesh)
+            self._read_values(entry)
         return mesh
 
     def _bulk(self) -> tuple[int, int]:
@@ -192,6 +205,14 @@ class _Reader:
                     [self.where[n][1] for n in numbers if self.where.get(n, "")[:1] == (b.type,)] for b in mesh.cells
                 ]
                 mesh.cell_sets[group] = [np.unique(np.array(r, np.int64)) for r in rows]
+
+    def _read_values(self, entry: Entry) -> None:
+        """Notes the values that an entry gives to nodes."""
+        for node, value in (_FIELDS | _LOADS).get(entry.name, ()):
+            number = entry.text(node)
+            row = self.nodes.get(int(number)) if re.fullmatch(r"\d+", number) else None
+            if row is not None:
+                self.values.add(entry.name, row, [entry.text(value)], 0, entry.name in _LOADS, real)
 
     def _read_side(self, entry: Entry, mesh: meshio.Mesh) -> None:
         """Finds the element that an entry names together with one of its edges."""
