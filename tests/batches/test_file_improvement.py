@@ -27,7 +27,7 @@ def test_point_data_survives_added_and_removed_vertices(tmp_path):
 
 def test_point_data_of_a_series_survives_added_and_removed_vertices(tmp_path):
     """Each mesh of the file has a part of the batch's vertex map of its own, and so has each file of the batch."""
-    before = [fields.coarse(), fields.coarse(3)]
+    before = [fields.coarse(), fields.coarse(5)]
     fields.write_steps(tmp_path / "steps.xdmf", before)
     fields.write_coarse(tmp_path / "first.vtu")
     jobs = [job(tmp_path, "first.vtu"), job(tmp_path, "steps.xdmf")]
