@@ -22,6 +22,7 @@ WRONG = [
     (Refining, "sliver", 0.5),
     (Refining, "last_steps", -1),
     (Refining, "coarse", 0.0),
+    (Refining, "kept_again", -1),
     (LocalRepair, "large", -1),
     (LocalRepair, "poor", 0.9),
     (LocalRepair, "excellent", math.nan),

@@ -86,7 +86,7 @@ class Refining:
     def __post_init__(self) -> None:
         _check_least(
             self, first_flip_rounds=0, rest=0, little_gain=0, least_gain=0, least_gain_of_maximum=0, sliver=1,
-            last_steps=0, coarse=1,
+            last_steps=0, coarse=1, kept_again=0,
         )  # fmt: skip
 
 
