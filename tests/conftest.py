@@ -27,13 +27,14 @@ BOTH_WAYS = (
     "smoothing/test_smoothing.py",
     "untangling/test_untangling.py",
 )
-# A module of those folders whose objectives are written in Python, which no compiled loop takes.
-ONE_WAY = FOLDER / "optimising" / "test_lbfgs.py"
+# Modules of those folders that run once: objectives that are written in Python, which no compiled loop takes; and whole
+# improvements towards targets, whose loops tests/kernels holds together.
+ONE_WAY = {FOLDER / "optimising" / name for name in ("test_lbfgs.py", "test_targets.py")}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     path = Path(metafunc.module.__file__)
-    if path != ONE_WAY and any(path == FOLDER / place or FOLDER / place in path.parents for place in BOTH_WAYS):
+    if path not in ONE_WAY and any(path == FOLDER / place or FOLDER / place in path.parents for place in BOTH_WAYS):
         metafunc.parametrize("loops", ["compiled", "torch"], indirect=True)
 
 
