@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from both_loops import need_compiled_loops
 from hypothesis import HealthCheck, settings
 
 from torchmesh.kernels import library
@@ -42,8 +43,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def loops(request: pytest.FixtureRequest) -> Iterator[None]:
     """The inner loops by which a test of `BOTH_WAYS` runs; the others run by those that are there."""
     choice = getattr(request, "param", None)
-    if choice == "compiled" and not library.built():
-        pytest.skip("the compiled loops were not built")
+    if choice == "compiled" or FOLDER / "kernels" in request.path.parents:
+        need_compiled_loops()
     with nullcontext() if choice is None else library.using(choice):
         yield
 

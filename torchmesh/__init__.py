@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from .flipping.delaunay import FlipInfo, FlipOptions, flip_to_delaunay
     from .improving.deform_options import DeformOptions
     from .improving.deformation import DeformReport, deform
-    from .improving.options import Bound, ImproveOptions
+    from .improving.options import ImproveOptions
     from .improving.pipeline import improve
     from .improving.report import Progress, Report, Step
+    from .improving.step_options import Bound
     from .improving.trail import Piece, rewired
     from .learning import datasets, domains, losses, nn
     from .mesh import metrics
@@ -78,7 +79,8 @@ _NAMES = {
     "flipping.delaunay": "FlipInfo FlipOptions flip_to_delaunay",
     "improving.deform_options": "DeformOptions",
     "improving.deformation": "DeformReport deform",
-    "improving.options": "Bound ImproveOptions",
+    "improving.options": "ImproveOptions",
+    "improving.step_options": "Bound",
     "improving.pipeline": "improve",
     "improving.report": "Progress Report Step",
     "improving.trail": "Piece rewired",

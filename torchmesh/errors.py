@@ -23,3 +23,9 @@ class MissingDependencyError(MeshError, ImportError):
 
 class MeshWarning(UserWarning):
     """The input was accepted, but only after a repair or with something worth knowing."""
+
+
+def what_failed(error: Exception) -> str:
+    """The type of an error and what it says, in one line of at most 200 characters."""
+    text = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+    return text if len(text) <= 200 else f"{text[:197]}..."

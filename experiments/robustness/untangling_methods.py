@@ -38,7 +38,8 @@ from experiments.shared.lifted_content import TotalLiftedContent
 from experiments.shared.tangles import tangle
 from torchmesh.mesh.ragged import spread
 from torchmesh.optimising.jacobian import equilateral
-from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.lbfgs import minimise
+from torchmesh.optimising.lbfgs_options import LbfgsOptions
 from torchmesh.optimising.objective import MeshObjective, pack
 from torchmesh.untangling.local_size import local_size
 

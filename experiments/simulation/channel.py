@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     mesh = channel(args.size)
     keep = tm.DeformOptions(topology="keep", when=tm.Bound(angle=2.0))
-    fine = simulated(channel(args.size / 2), deforming(keep), "", args.steps)
+    fine = simulated(channel(args.size / 2), deforming(keep), "linear", args.steps)
     runs = {name: simulated(mesh, *WAYS[name], args.steps) for name in args.ways}
     print(clocks.machine())
     print(f"\n{len(mesh.triangles):,} triangles, {args.steps} steps\n")

@@ -11,6 +11,7 @@ import torch
 import torchmesh as tm
 from experiments.simulation import heat
 from experiments.simulation.ways import Way, on_disc
+from torchmesh.transferring.transfer import Method
 
 STEPS, DURATION, TRAVEL = 80, 8.0, 2.0
 
@@ -29,7 +30,9 @@ class Run:
     dead: int | None = None
 
 
-def simulated(mesh: tm.MeshBatch, way: Way, method: str, steps: int, frame: Callable[[Run], None] | None = None) -> Run:
+def simulated(
+    mesh: tm.MeshBatch, way: Way, method: Method, steps: int, frame: Callable[[Run], None] | None = None
+) -> Run:
     """The simulation by one way; it ends early if a triangle inverts."""
     u = torch.exp(-((mesh.points - torch.tensor([2.2, 1.2])) ** 2).sum(1) / 0.2)
     begun = heat.heat(mesh, u)
@@ -49,7 +52,7 @@ def simulated(mesh: tm.MeshBatch, way: Way, method: str, steps: int, frame: Call
         for previous, before, then, part in pieces:
             clock = time.process_time()
             if previous is not None:
-                u = tm.transfer(previous, before, u, method=method)  # type: ignore[call-overload]
+                u = tm.transfer(previous, before, u, method=method)
                 run.changes += 1
             run.meshing[-1] += time.process_time() - clock
             clock = time.process_time()

@@ -30,7 +30,8 @@ from torchmesh.optimising.conjugate_gradients import solve
 from torchmesh.optimising.energies import InverseMeanRatio, Regularised
 from torchmesh.optimising.hessian import Hessian
 from torchmesh.optimising.jacobian import equilateral, select_rows
-from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.lbfgs import minimise
+from torchmesh.optimising.lbfgs_options import LbfgsOptions
 from torchmesh.optimising.objective import MeshObjective, pack
 from torchmesh.untangling.local_size import local_size
 

@@ -11,7 +11,8 @@ from torchmesh.mesh.means import vertex_size
 from torchmesh.optimising.assembly import chunks_of, energy_and_forces
 from torchmesh.optimising.energies import InverseMeanRatio, Regularised, UntangleBeta
 from torchmesh.optimising.jacobian import equilateral
-from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.lbfgs import minimise
+from torchmesh.optimising.lbfgs_options import LbfgsOptions
 from torchmesh.optimising.objective import MeshObjective, pack
 
 

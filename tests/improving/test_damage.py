@@ -7,9 +7,9 @@ from judges import inverted
 
 import torchmesh as tm
 from torchmesh import ImproveOptions, MeshBatch, improve, quality
-from torchmesh.improving.damage import Meant, damaged
-from torchmesh.improving.options import Damage
+from torchmesh.improving.shapes_meant import Meant, damaged
 from torchmesh.improving.state import State
+from torchmesh.improving.step_options import Damage
 
 BASE = meshes.disturbed(meshes.equilateral(30, 25), 0.08, 0)
 STRETCH = torch.tensor([4.0, 1.0], dtype=torch.float64)

@@ -9,7 +9,7 @@ import torch
 import torchmesh as tm
 from torchmesh import ImproveOptions, Status, improve, join
 from torchmesh.diagnosing import diagnosis
-from torchmesh.improving import stages, strategies
+from torchmesh.improving import ending, stages
 
 # A module that is first imported while a function fails on purpose would keep that one.
 from torchmesh.remeshing import relocation, remeshing  # noqa: F401
@@ -27,9 +27,9 @@ PLACES = [
     (stages.smoothing, "smooth", {"boundary": "slide"}, "smooth"),
     (stages.polishing, "polish", {}, "polish"),
     (diagnosis, "diagnose", {}, "diagnose"),
-    (strategies, "same_frame", {}, "certify"),
-    (strategies, "size_field", {"topology": "full", "remesh": FEW}, "sizes"),
-    (strategies, "size_conformity", {"topology": "full", "remesh": FEW}, "sizes"),
+    (ending, "same_frame", {}, "certify"),
+    (ending, "size_field", {"topology": "full", "remesh": FEW}, "sizes"),
+    (ending, "size_conformity", {"topology": "full", "remesh": FEW}, "sizes"),
 ]
 
 

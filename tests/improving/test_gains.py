@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from torchmesh import ImproveOptions, MetricField, SmoothOptions, improve, join, quality
-from torchmesh.improving.options import LeastGain
+from torchmesh.improving.step_options import LeastGain
 
 
 def same(a, b) -> bool:

@@ -17,9 +17,9 @@ from torchmesh import ImproveOptions, MeshBatch, improve, join, quality
 from torchmesh.improving import forked
 from torchmesh.improving.local_repair import Submeshes, damaged_submeshes
 from torchmesh.improving.neighbourhood import neighbourhood
-from torchmesh.improving.options import LocalRepair
 from torchmesh.improving.runner import Log
 from torchmesh.improving.state import State
+from torchmesh.improving.step_options import LocalRepair
 from torchmesh.improving.strategies import improve_batch
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.batch import put

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from torchmesh.improving.options import LocalRepair, Refining, Rounds
+from torchmesh.improving.step_options import LocalRepair, Refining, Rounds
 
 WRONG = [
     (Rounds, "flip_rounds", -1),

@@ -2,9 +2,9 @@
 
 import torch
 
-from torchmesh.improving.options import Rounds
+from torchmesh.improving.step_options import Rounds
 from torchmesh.improving.stopping import Gain, Stall
-from torchmesh.optimising.lbfgs import LbfgsOptions
+from torchmesh.optimising.lbfgs_options import LbfgsOptions
 
 
 def numbers(*values: int) -> torch.Tensor:

@@ -2,14 +2,13 @@
 
 import pytest
 import torch
+from both_loops import both
 from meshes import delaunay, disc, grid, jittered, ring, scrambled
 
 from torchmesh import FlipOptions, MetricField, flip_to_delaunay, join
 from torchmesh.flipping.rounds import flip_rounds
 from torchmesh.flipping.rules import kim_rule, safe_rule, shape_rule
-from torchmesh.kernels import flips, library
-
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
+from torchmesh.kernels import flips
 
 
 def lattice(generator):
@@ -26,14 +25,6 @@ def batches(generator):
         "tangled": join([jittered(12, 11, cells=2.5, seed=1), jittered(9, 9, cells=9.0, seed=2)]),
         "lattice": lattice(generator),
     }
-
-
-def both(run):
-    results = []
-    for choice in ("torch", "compiled"):
-        with library.using(choice):
-            results.append(run())
-    return results
 
 
 @pytest.mark.parametrize("name", ["valid", "scrambled", "tangled", "lattice"])

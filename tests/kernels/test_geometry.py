@@ -3,22 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from both_loops import both
 from meshes import delaunay, grid, jittered, ring, scrambled
 
 from torchmesh import join
 from torchmesh.kernels import library
 from torchmesh.mesh import connectivity, measure
 from torchmesh.triangulating import arrays, crossings
-
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
-
-
-def both(run):
-    results = []
-    for choice in ("torch", "compiled"):
-        with library.using(choice):
-            results.append(run())
-    return results
 
 
 def batches(generator):

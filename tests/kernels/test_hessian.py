@@ -12,8 +12,6 @@ from torchmesh.optimising.hessian import Hessian
 from torchmesh.optimising.jacobian import Target, equilateral
 from torchmesh.optimising.objective import pack
 
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
-
 
 def systems(generator, energy, target=None):
     batch = join([jittered(cells=0.05, seed=1), ring(), disc(), delaunay(60, seed=2)])

@@ -1,6 +1,5 @@
 """Which loops run: by the environment, by choice, and where there is no library."""
 
-import shutil
 import subprocess
 import sys
 
@@ -10,17 +9,9 @@ import torch
 from torchmesh.kernels import library
 
 
-def test_they_are_built_where_there_is_a_compiler():
-    if shutil.which("g++") is None and shutil.which("clang++") is None and shutil.which("cl") is None:
-        pytest.skip("there is no compiler")
-    assert library.built(), "run python setup.py build_ext --inplace"
-
-
 @pytest.mark.parametrize("choice", ["torch", "compiled"])
 def test_the_environment_chooses(monkeypatch, choice):
     monkeypatch.setenv("TORCHMESH_KERNELS", choice)
-    if choice == "compiled" and not library.built():
-        pytest.skip("the compiled loops were not built")
     assert library.kernels_in_use() == choice
 
 

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from both_loops import both
 from meshes import delaunay, disc, grid, jittered, ring
 from scipy.spatial import Delaunay
 
 from torchmesh import MeshBatch, join, transfer
-from torchmesh.kernels import library
 from torchmesh.transferring import overlaps as clipping
 from torchmesh.transferring.overlaps import _upright_corners, overlaps
 from torchmesh.transferring.pairs import both_sides, touching_boxes
-
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
 
 
 def graded(seed: int) -> MeshBatch:
@@ -35,14 +33,6 @@ def pairs_of_meshes() -> dict[str, tuple[MeshBatch, MeshBatch]]:
         "several": (join([disc(), ring(), delaunay(60, 2)]), join([disc(), jittered(5, 5, 0.2), delaunay(90, 3)])),
         "nothing in common": (grid(4, 4), grid(4, 4).with_points(grid(4, 4).points + 10)),
     }
-
-
-def both(run):
-    results = []
-    for choice in ("torch", "compiled"):
-        with library.using(choice):
-            results.append(run())
-    return results
 
 
 @pytest.mark.parametrize("name", pairs_of_meshes())

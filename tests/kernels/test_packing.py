@@ -4,28 +4,18 @@ import dataclasses
 
 import pytest
 import torch
+from both_loops import both
 from meshes import delaunay, disc, grid, jittered, ring
 
 from torchmesh import join
-from torchmesh.kernels import library
 from torchmesh.mesh.means import vertex_size
 from torchmesh.mesh.units import centre_and_unit
 from torchmesh.optimising.objective import pack
-
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
 
 
 def batches():
     many = join([jittered(cells=0.4, seed=1), ring(), disc(), delaunay(60, seed=2), grid(3, 2), grid(1, 1)])
     return [many, many.to(torch.float32), grid(2, 2), many.with_points(1e120 * many.points), delaunay(300, seed=3)]
-
-
-def both(run):
-    results = []
-    for choice in ("torch", "compiled"):
-        with library.using(choice):
-            results.append(run())
-    return results
 
 
 @pytest.mark.parametrize("displacements", [False, True])

@@ -10,7 +10,8 @@ import torch
 
 from torchmesh import Status
 from torchmesh.optimising.blocks import BLOCK
-from torchmesh.optimising.lbfgs import LbfgsOptions, minimise
+from torchmesh.optimising.lbfgs import minimise
+from torchmesh.optimising.lbfgs_options import LbfgsOptions
 
 EXACT = LbfgsOptions(gradient_tolerance=1e-6, energy_tolerance=0.0, max_iterations=2000)
 

@@ -17,20 +17,18 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import corners_of, touching
-from ..mesh.means import Means
 from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segment_max, spread
-from ..optimising.median_metric import median_metric, usual_ratio
 from ..optimising.metric_field import MetricField
-from ..optimising.targets import Targets, target_from, target_quality
 from ..status import Status
 from .columns import Edits
+from .ending import certify, compare_sizes
 from .faults import end_the_tangled, find_faults
-from .needed import beyond, limits_of
 from .options import ImproveOptions
-from .parts import Parts, PartsLog, Pasted, paste
+from .parts import Parts, PartsLog, paste
 from .runner import Log, Runner
+from .shapes_meant import Meant, Spared, damaged
 from .state import State
-from .strategies import certify, compare_sizes, improve_batch
+from .strategies import improve_batch
 
 
 def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
@@ -48,75 +46,6 @@ def improve_damage(state: State, log: Log, options: ImproveOptions) -> State:
     state = end_the_tangled(find_faults(state, run, options), run, options)
     state = state.ended(state.running, Status.STALLED)
     return certify(compare_sizes(state, run, options), run, options)
-
-
-@dataclass(frozen=True, eq=False)
-class Meant:
-    """The shapes that are meant.
-
-    targets    a metric, with one row a vertex or as a function of positions, or matrices (T, 2, 2) of triangles
-    usual      (V,) by how much the triangles nearby miss these shapes on the mean, as inverse mean ratios; None: what
-               is meant was asked for
-    reference  (T, 2, 2) the shapes of undeformed triangles, which count where the triangles are still the same
-    triangles  (T, 3) int64, these triangles; -1 for others
-    """
-
-    targets: Targets
-    usual: Tensor | None = None
-    reference: Tensor | None = None
-    triangles: Tensor | None = None
-
-    @classmethod
-    def of(cls, state: State) -> "Meant":
-        """Those of the targets, if there are any; else the local median, and the reference where there is one."""
-        if state.targets is not None:
-            targets = state.targets
-            if isinstance(targets, MetricField) and isinstance(targets.values, Tensor):
-                targets = MetricField(targets.at_vertices(state.mesh))
-            return cls(targets)
-        upright = state.quality.upright
-        median = median_metric(state.mesh, upright)
-        usual = usual_ratio(state.mesh, median, upright)
-        if state.reference is None:
-            return cls(MetricField(median), usual)
-        return cls(MetricField(median), usual, target_from(state.reference), state.reference.triangles)
-
-    @property
-    def of_vertices(self) -> Tensor | None:
-        """(V, 3) the metric that moves with the vertices; None: there is none."""
-        metric = self.targets.values if isinstance(self.targets, MetricField) else None
-        return metric if isinstance(metric, Tensor) else None
-
-    def ratio(self, mesh: MeshBatch) -> Tensor:
-        """(T,) the inverse mean ratios of the triangles as the shapes meant see them, over what is usual nearby."""
-        ratio = target_quality(mesh, self.targets)
-        if self.usual is not None:
-            ratio = ratio / Means(mesh).of_corners(self.usual)
-        if self.reference is None or self.triangles is None or self.triangles.shape != mesh.triangles.shape:
-            return ratio
-        same = (mesh.triangles == self.triangles).all(1)
-        return torch.where(same, target_quality(mesh, self.reference), ratio)
-
-    def narrowed(self, parts: Parts) -> "Meant":
-        """The same for the parts as they were cut out."""
-        if isinstance(self.targets, Tensor):
-            return Meant(self.targets[parts.triangles])
-        usual = None if self.usual is None else self.usual[parts.vertices]
-        targets = self.targets if self.of_vertices is None else MetricField(self.of_vertices[parts.vertices])
-        if self.reference is None or self.triangles is None or len(self.triangles) != len(parts.batch.triangles):
-            return Meant(targets, usual)
-        same = (parts.batch.triangles == self.triangles).all(1)[parts.triangles]
-        triangles = torch.where(same[:, None], parts.mesh.triangles, -1)
-        return Meant(targets, usual, self.reference[parts.triangles], triangles)
-
-    def pasted(self, made: Pasted, there: "Meant", rows: Tensor) -> "Meant":
-        """The same for other vertices; for inserted ones what is meant `there`, in the rows (V',) bool of parts."""
-        assert self.of_vertices is not None
-        assert there.of_vertices is not None
-        metric = MetricField(made.by_vertex(self.of_vertices, there.of_vertices[rows]))
-        if self.usual is None or there.usual is None:
-            return Meant(metric)
-        return Meant(metric, made.by_vertex(self.usual, there.usual[rows]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,49 +229,6 @@ class How:
             other = (state.reference.triangles != state.mesh.triangles).any(1)
             referred = ~segment_any(other[parts.triangles], offsets)
         return [cls(*pair) for pair in zip(stretched.tolist(), referred.tolist(), strict=True)]
-
-
-def damaged(state: State, meant: Meant, options: ImproveOptions, spared: "Spared | None" = None) -> Tensor:
-    """(T,) bool: the triangles that are inverted, or much worse than the shape that is meant at their place.
-
-    With `options.when` they are those beyond the bound, and where targets are given, also beyond it as these see it.
-
-    spared  what does not count as damage where `options.when` says what does; None: what is true of `state` itself
-    """
-    if options.when is None:
-        return ~state.quality.upright | (meant.ratio(state.mesh) > options.damage.worse)
-    spared = spared or Spared.of(state)
-    bad = beyond(state.mesh, state.quality, options.when, spared.triangles, spared.limits)
-    if state.targets is None or not bool(bad.any()):
-        return bad
-    # What is as the targets have it is not damaged, whatever its angles are.
-    worse = meant.ratio(state.mesh) > min(options.when.ratio, options.damage.worse)
-    return bad & (~state.quality.upright | worse)
-
-
-@dataclass(frozen=True, eq=False)
-class Spared:
-    """What cannot be better, and is no damage for that.
-
-    triangles  (T,) bool, those that nothing can change; None: there are none
-    limits     what the boundary allows at each vertex, (V,) radians and (V,) inverse mean ratios
-    """
-
-    triangles: Tensor | None
-    limits: tuple[Tensor, Tensor]
-
-    @classmethod
-    def of(cls, state: State) -> "Spared":
-        """What is spared in whole meshes."""
-        return cls(state.unchangeable, limits_of(state.mesh))
-
-    def narrowed(self, parts: Parts, after: State) -> "Spared":
-        """The same for the parts, that were cut out of these meshes, as they are in `after`."""
-        angle, ratio = (limit[parts.vertices] for limit in self.limits)
-        if after.names is not None:
-            onward = after.vertex_names.vertex_map()
-            return Spared(after.unchangeable, (onward.carry(angle), onward.carry(ratio)))
-        return Spared(None if self.triangles is None else self.triangles[parts.triangles], (angle, ratio))
 
 
 def _worked_on(mending: Mending, parts: Parts, how: How, log: Log) -> State:

@@ -7,7 +7,8 @@ from typing import Literal
 from ..mesh.batch import MeshBatch
 from ..optimising.targets import TargetFunction, Targets, check_topology
 from ..smoothing.smoothing import SmoothOptions
-from .options import Bound, ImproveOptions
+from .options import ImproveOptions
+from .step_options import Bound
 
 
 @dataclass(frozen=True)

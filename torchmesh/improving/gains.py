@@ -16,9 +16,10 @@ from ..optimising.targets import target_quality
 from ..smoothing.polishing import PolishOptions, bad_triangles
 from ..status import Status
 from .faults import taken_back
-from .options import ImproveOptions, LeastGain
+from .options import ImproveOptions
 from .runner import Runner, Stage, Work
 from .state import State
+from .step_options import LeastGain
 
 
 def without_little_gains(state: State, run: Runner, o: ImproveOptions) -> State:

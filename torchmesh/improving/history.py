@@ -24,7 +24,7 @@ from ..smoothing.polishing import PolishOptions
 from ..warping.femwarp import femwarp
 from .deform_options import DeformOptions
 from .needed import beyond
-from .options import Bound
+from .step_options import Bound
 from .trail import has_rewired
 
 

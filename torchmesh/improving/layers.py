@@ -17,11 +17,12 @@ from torch import Tensor
 from ..layering.following import follow_walls
 from ..layering.layers import Layers, find_layers
 from ..mesh.batch import MeshBatch, triangle_mesh, vertex_mesh
-from ..mesh.connectivity import keys_of
+from ..mesh.connectivity import edge_components, keys_of
 from ..mesh.measure import upright
 from ..mesh.ragged import rows_of
+from .given import Given
 from .runner import Job, Log
-from .state import Given, State
+from .state import State
 
 # Where not all rows of a layer can be held, these parts of them are tried, the larger first.
 _SHARES = (0.5, 0.25)
@@ -242,14 +243,7 @@ def _by_wall(layers: Layers) -> list[Layers]:
     """The layers of one mesh, one for each connected run of wall."""
     first = layers.row == 1
     feet = layers.corners[first, :2]
-    label = torch.arange(int(feet.max()) + 1, device=feet.device)
-    while True:
-        least = label[feet].amin(1)
-        lower = label.scatter_reduce(0, feet.reshape(-1), least.repeat_interleave(2), "amin")
-        lower = lower[lower]
-        if torch.equal(lower, label):
-            break
-        label = lower
+    label = edge_components(feet, int(feet.max()) + 1)
     of_wall = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.int64, device=feet.device)
     of_wall[layers.wall[first]] = label[feet[:, 0]]
     which = of_wall[layers.wall]

@@ -26,10 +26,11 @@ from ..mesh.submesh import Submesh, submesh
 from ..remeshing.criteria import crowded
 from ..remeshing.options import RemeshOptions
 from .neighbourhood import Neighbourhood, neighbourhood
-from .options import ImproveOptions, LocalRepair
+from .options import ImproveOptions
 from .report import Step
 from .runner import Job, Log
 from .state import State
+from .step_options import LocalRepair
 
 
 def on_submeshes(job: Job, options: ImproveOptions) -> Job:

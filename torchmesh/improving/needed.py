@@ -14,13 +14,14 @@ from ..mesh import triangle
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
 from ..mesh.ragged import segment_any
-from ..mesh.triangle import SQRT3, corners
+from ..mesh.triangle import corners, least_ratio
 from ..smoothing.boundary_limits import asked_of, fan_limits
 from ..status import Status
-from .options import Bound, ImproveOptions
+from .ending import compare_sizes
+from .options import ImproveOptions
 from .runner import Job, Log, Runner
 from .state import State
-from .strategies import compare_sizes
+from .step_options import Bound
 
 
 def beyond(
@@ -35,12 +36,10 @@ def beyond(
     q             the quality of the mesh
     unchangeable  (T,) bool, upright triangles that do not count
     limits        what the boundary allows at each vertex; None: `fan_limits` of the mesh
-
-    Among triangles with the angle t the isosceles one has the lowest inverse mean ratio, (2 - cos t) / (sqrt(3) sin t):
-    in triangles below this ratio no angle need be measured.
     """
     t = math.radians(bound.angle)
-    least = min((2 - math.cos(t)) / (SQRT3 * math.sin(t)), bound.ratio) if t else bound.ratio
+    # In triangles of a lower ratio than any with that angle has, no angle need be measured.
+    least = min(least_ratio(t), bound.ratio) if t else bound.ratio
     worse = q.upright & (q.inverse_mean_ratio > least)
     if unchangeable is not None:
         worse &= ~unchangeable

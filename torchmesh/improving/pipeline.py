@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from ..errors import what_failed
 from ..mesh.batch import MeshBatch, check_rows
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import interface_vertices, released
@@ -29,7 +30,7 @@ from .needed import where_needed
 from .options import ImproveOptions
 from .report import Progress, Report, left_over
 from .runner import Job, Log
-from .state import State, what_failed
+from .state import State
 from .strategies import improve_batch
 from .stretched import keeping_stretch
 from .trail import has_rewired

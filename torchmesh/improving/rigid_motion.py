@@ -99,7 +99,7 @@ def bodies_of(batch: MeshBatch, rigid: Tensor, goal: Tensor) -> tuple[Body, ...]
     """
     pairs = connectivity.edges(batch.triangles, batch.twin)
     inside = rigid[pairs]
-    label = _components(pairs[inside.all(1)], len(batch.points))
+    label = connectivity.edge_components(pairs[inside.all(1)], len(batch.points))
     # Fixed vertices beside a body, by the label of the body.
     tail, head = torch.cat([pairs, pairs.flip(1)]).unbind(1)
     beside = rigid[tail] & batch.fixed[head] & ~rigid[head]
@@ -124,19 +124,6 @@ def bodies_of(batch: MeshBatch, rigid: Tensor, goal: Tensor) -> tuple[Body, ...]
             )
         bodies.append(body)
     return tuple(bodies)
-
-
-def _components(pairs: Tensor, count: int) -> Tensor:
-    """(V,) int64 the least vertex that the edges `pairs` (E, 2) join each vertex to."""
-    label = torch.arange(count, device=pairs.device)
-    while len(pairs):
-        least = label[pairs].amin(1)
-        lower = label.scatter_reduce(0, pairs.reshape(-1), least.repeat_interleave(2), "amin")
-        lower = lower[lower]
-        if torch.equal(lower, label):
-            break
-        label = lower
-    return label
 
 
 def holding_edges(batch: MeshBatch, held: Tensor) -> MeshBatch:

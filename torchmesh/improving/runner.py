@@ -12,11 +12,12 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from ..errors import what_failed
 from ..mesh.batch import MeshBatch, put
 from ..mesh.ragged import counts_from_offsets
 from ..optimising.moves import Monitor
 from .report import Progress, Step
-from .state import State, what_failed
+from .state import State
 
 _log = logging.getLogger(__name__)
 

@@ -8,19 +8,17 @@ Nothing in a state ever changes: a stage gives back another one.  What the calle
 the rows of some meshes are taken out of it when a stage asks for them.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TypeVar
 
 import torch
 from torch import Tensor
 
+from ..errors import what_failed
 from ..mesh.batch import MeshBatch, put
 from ..mesh.curves import BoundaryCurves
 from ..mesh.frozen import frozen_triangles
-from ..mesh.interfaces import Interfaces, holding
-from ..mesh.means import local_widths
+from ..mesh.interfaces import holding
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import segment_count, segment_max, segment_sum, spread
 from ..mesh.vertex_map import Names, exchange
@@ -29,42 +27,10 @@ from ..optimising.targets import Targets, as_targets, narrow
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
 from .columns import Edits, put_conformity, put_quality, put_rows, select_conformity, select_quality
+from .given import Given
 from .options import ImproveOptions
 
 _T = TypeVar("_T")
-
-
-@dataclass(frozen=True, eq=False)
-class Given:
-    """What the caller gave.
-
-    mesh       the batch
-    reference  the same meshes undeformed, or None
-    sizes      (V,) the edge lengths asked for, or None
-    stays      (V,) bool, the vertices that do not move: fixed or on interfaces, and not sliding
-    interfaces  what becomes of the vertices on interfaces
-    walls      gives, by name, edges (K, 2) that messages call so: layers over them are told by these names
-    layers     (V,) bool, the vertices of layers that are held, with the walls below; None: no layer is held
-    tether     how many local widths vertices may move in meshes that are tethered
-    anchors    (V, 2) the positions from which that is measured; None: those of `mesh`
-    anchor_widths  (V,) the local widths there; None: those of `mesh`
-    """
-
-    mesh: MeshBatch
-    reference: MeshBatch | None
-    sizes: Tensor | None
-    stays: Tensor
-    interfaces: Interfaces
-    walls: Callable[[], Mapping[str, Tensor]] = dict
-    layers: Tensor | None = None
-    tether: float = 1.0
-    anchors: Tensor | None = None
-    anchor_widths: Tensor | None = None
-
-    @cached_property
-    def widths(self) -> Tensor:
-        """(V,) how wide the mesh is at each vertex, the mean length of its edges there."""
-        return local_widths(self.mesh) if self.anchor_widths is None else self.anchor_widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,9 +369,3 @@ class State:
             averaged=None,
             lively=None,
         )
-
-
-def what_failed(error: Exception) -> str:
-    """The type of an error and what it says, in one line of at most 200 characters."""
-    text = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
-    return text if len(text) <= 200 else f"{text[:197]}..."

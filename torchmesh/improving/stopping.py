@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..optimising.lbfgs import LbfgsOptions
-from .options import ImproveOptions, Rounds
+from ..optimising.lbfgs_options import LbfgsOptions
+from .options import ImproveOptions
 from .state import State
+from .step_options import Rounds
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ Every mesh goes its own way; the meshes that take the same stage are worked on t
 """
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -18,27 +18,24 @@ from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions
 from ..mesh.batch import MeshBatch, constraint_owner
-from ..mesh.certificate import same_frame
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
 from ..mesh.neighbourhoods import rewired, surroundings
 from ..mesh.ragged import segment_any
-from ..mesh.rounding import rounded, unrounded
 from ..mesh.submesh import submesh
-from ..optimising.metric_field import MetricField
 from ..optimising.moves import Monitor
 from ..remeshing.criteria import crowded
-from ..remeshing.metric_sizing import metric_conformity
 from ..remeshing.options import RemeshOptions
-from ..remeshing.sizing import SizeConformity, size_conformity, size_field
 from ..smoothing.polishing import PolishOptions, bad_triangles
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
 from ..untangling.gathering import gathered
 from ..untangling.options import UntangleOptions
+from .ending import certify, compare_sizes
 from .faults import end_the_tangled, find_faults, taken_back
 from .gains import where_it_pays, without_little_gains
-from .options import ImproveOptions, LeastGain
+from .options import ImproveOptions
+from .rounding import put_back_what_stays, round_positions
 from .runner import Log, Runner, Stage, Work
 from .stages import (
     attempt,
@@ -56,6 +53,7 @@ from .stages import (
     warp,
 )
 from .state import State
+from .step_options import LeastGain
 from .stopping import Gain, Stall, settled
 from .travel import tethered, tied
 
@@ -123,8 +121,10 @@ def paper(state: State, run: Runner, o: ImproveOptions) -> State:
 
 def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State:
     """FEMWARP from the reference, then neighbours' means: scrambled interiors need no more."""
-    strays = segment_any((gathered(state.mesh).points != state.mesh.points).any(1), state.mesh.point_offsets)
-    state, _ = run("gather", gather(), state, state.tangled & strays)
+    near = gathered(state.mesh)
+    if near is not state.mesh:
+        strays = segment_any((near.points != state.mesh.points).any(1), state.mesh.point_offsets)
+        state, _ = run("gather", gather(), state, state.tangled & strays)
     if o.reference is not None:
         state, _ = run("femwarp", attempt(warp(), _given), state, state.tangled)
     if bool(state.tangled.any()):
@@ -188,25 +188,6 @@ def _averaged(state: State) -> MeshBatch:
 
 
 # --- from valid to good ---
-
-
-def round_positions(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Meshes that came valid are worked on at rounded positions, so that decisions do not hang on rounding errors."""
-    mesh = rounded(state.mesh, state.running & (state.inverted_given == 0))
-    return state if mesh is state.mesh else replace(state.at(mesh), rounded=mesh.points)
-
-
-def put_back_what_stays(state: State, run: Runner, o: ImproveOptions) -> State:
-    """What stays, or did not move on the rounded positions, is where it was given; all is, if that does not fit."""
-    if state.rounded is None:
-        return state
-    given = state.given
-    stays = state.of_given_vertices(state.origin.stays) | state.mesh.fixed
-    begun = given.with_points(state.rounded)
-    back = state.at(unrounded(state.mesh, begun, given, stays))
-    state, came_valid = replace(back, rounded=None), state.inverted_given == 0
-    run.log.amend(state, came_valid)
-    return taken_back(state, run, came_valid & ~state.valid)
 
 
 def smooth_slivers(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -368,54 +349,3 @@ def remesh_the_valid(state: State, run: Runner, o: ImproveOptions) -> State:
         state, _ = run("flip", flip(FlipOptions(rule="shape")), state, at)
         state = smooth_in_fitting_precision(state, run, o, o.smooth, at)
     return polish_the_worst(state, run, o) if o.smooth.targets is None else state
-
-
-# --- the end ---
-
-
-def compare_sizes(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Measure how well edges follow the sizes that were asked for, in the valid meshes; NaN stands for the others."""
-    if o.topology != "full" and state.sizes is None:
-        return state
-    if state.sizes is None or o.topology == "full":
-        state = run.quietly("sizes", _with_own_sizes, state, torch.ones_like(state.valid))
-    state = run.quietly("sizes", partial(_compared, o=o), state, state.valid)
-    nothing = torch.full_like(state.quality.mean, torch.nan)
-    sizes = state.mesh.points.new_full((len(state.mesh.points),), torch.nan, dtype=torch.float64)
-    return replace(
-        state,
-        sizes=sizes if state.sizes is None else state.sizes,
-        conformity=state.conformity or SizeConformity(*(nothing for _ in fields(SizeConformity))),
-    )
-
-
-def _with_own_sizes(state: State) -> State:
-    """The state in which a mesh that was not remeshed has the sizes that it has."""
-    there = size_field(state.mesh, "keep")
-    return replace(state, sizes=there if state.sizes is None else torch.where(state.sizes.isnan(), there, state.sizes))
-
-
-def _compared(state: State, o: ImproveOptions) -> State:
-    """The valid meshes of `state` with how well their edges follow their sizes."""
-    assert state.sizes is not None
-    asked = o.remesh.sizes
-    by_vertex = o.topology == "full" or not (callable(asked) or (isinstance(asked, str) and asked == "uniform"))
-    if isinstance(state.targets, MetricField):
-        found = metric_conformity(state.mesh, state.sizes, state.targets.at_vertices(state.mesh))
-    else:
-        found = size_conformity(state.mesh, state.sizes if by_vertex else asked)
-    return replace(state, conformity=found)
-
-
-def certify(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Say of every mesh whether it is valid and its frame is what it was, by exact signs and edges computed anew."""
-    state = run.quietly("certify", _certified, state, torch.ones_like(state.valid))
-    failures = [bool(failures) for failures in state.failures]
-    failed = torch.tensor(failures, dtype=torch.bool, device=state.meshes.device)
-    return state.ended(failed, Status.FAILED)
-
-
-def _certified(state: State) -> State:
-    names = None if state.names is None else state.names.vertex_map()
-    stays = state.of_given_vertices(state.origin.stays)
-    return replace(state, certified=state.valid & same_frame(state.given, state.mesh, stays, names))

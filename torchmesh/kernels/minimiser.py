@@ -5,8 +5,8 @@ neither on the other meshes nor on threads.
 """
 
 import ctypes
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -54,34 +54,6 @@ _STATUSES = (
 )  # fmt: skip
 
 
-class Outcome(NamedTuple):
-    """The columns of `optimising.lbfgs.LbfgsResult`."""
-
-    unknowns: Tensor
-    energy: Tensor
-    gradient: Tensor
-    iterations: Tensor
-    evaluations: Tensor
-    status: Tensor
-
-
-class Settings(NamedTuple):
-    """The fields of `optimising.lbfgs.LbfgsOptions`, where they are explained."""
-
-    max_iterations: int
-    gradient_tolerance: float
-    energy_tolerance: float
-    patience: int
-    history: int
-    first_step: float
-    largest_step: float
-    sufficient_decrease: float
-    least_curvature: float
-    shortening: tuple[float, float]
-    blind_shortening: float
-    shortest_step: float
-
-
 def minimise_meshes(
     triangles: PackedTriangles,
     anchored: Tensor,
@@ -90,23 +62,26 @@ def minimise_meshes(
     triangle_offsets: Tensor,
     width: int,
     start: Tensor,
-    settings: Settings,
+    settings: Mapping[str, Any],
     enough: float | None,
     monitor: Callable[[int, Tensor], None] | None,
-) -> Outcome:
+) -> tuple[Tensor, ...]:
     """Minimise every mesh's energy from `start` (N,), float32 or float64, on the processor.
 
     anchored, scale  (F,) and (N,) in the type of `start`
     width            numbers in a block
+    settings         the fields of `optimising.lbfgs_options.LbfgsOptions`, by name
     enough           a mesh is done when the determinants of all its triangles exceed this; None: never
 
     monitor is called after each step with its number and the energies (B',) of the meshes still running.
+
+    Returns the fields of `optimising.lbfgs_options.LbfgsResult`, in their order.
     """
     # What the addresses point to must live as long as the run.
     alive: list[object] = [start, anchored, scale, block_offsets, triangle_offsets]
     meshes = len(block_offsets) - 1
     numbers, counts = torch.zeros((2, meshes), dtype=torch.float64), torch.zeros((3, meshes), dtype=torch.int64)
-    outcome = Outcome(torch.empty_like(start), *numbers, *counts)
+    outcome = torch.empty_like(start), *numbers, *counts
     problems = _Problems(
         triangles_argument(triangles, start.dtype, alive),
         *(pointer(v) for v in (start, anchored, scale, block_offsets, triangle_offsets)),
@@ -114,15 +89,15 @@ def minimise_meshes(
         *(pointer(v) for v in outcome),
     )  # fmt: skip
     options = _Options(
-        settings.max_iterations, settings.patience, settings.history,
-        *(getattr(settings, name) for name in _NUMBERS), *settings.shortening,
-        settings.blind_shortening, settings.shortest_step, enough or 0.0, enough is not None,
+        settings["max_iterations"], settings["patience"], settings["history"],
+        *(settings[name] for name in _NUMBERS), *settings["shortening"],
+        settings["blind_shortening"], settings["shortest_step"], enough or 0.0, enough is not None,
         (INT64 * 7)(*(int(s) for s in _STATUSES)),
     )  # fmt: skip
     run = call("tm_minimise_start", ADDRESS, ctypes.byref(problems), ctypes.byref(options),
                 INT32(start.dtype == torch.float32))  # fmt: skip
     try:
-        _advance(run, settings.max_iterations, meshes, monitor)
+        _advance(run, settings["max_iterations"], meshes, monitor)
     finally:
         call("tm_minimise_end", None, ADDRESS(run))
     return outcome

@@ -1,7 +1,7 @@
 """From a batch to one vector of unknowns, compiled: the twins of `pack` and of what its callers measure first."""
 
 import ctypes
-from typing import NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -29,22 +29,6 @@ class _Packing(ctypes.Structure):
     ]  # fmt: skip
 
 
-class Packed(NamedTuple):
-    """The fields of `optimising.objective.Packing` that are arrays of its batch."""
-
-    unknowns: Tensor
-    anchored: Tensor
-    rows: Tensor
-    x_rows: Tensor
-    y_rows: Tensor
-    vertices: Tensor
-    triangles: Tensor
-    block_offsets: Tensor
-    triangle_offsets: Tensor
-    point_mesh: Tensor
-    edges: Tensor | None
-
-
 def packed(
     points: Tensor,
     triangles: Tensor,
@@ -54,8 +38,11 @@ def packed(
     frame: tuple[Tensor, Tensor],
     displacements: bool,
     block: int,
-) -> Packed:
-    """`optimising.objective.pack` of points (V, 2) float64; `frame` is centre (B, 2) and unit (B,)."""
+) -> dict[str, Any]:
+    """The fields of `optimising.objective.Packing` but for its frame, as `pack` makes them of points (V, 2) float64.
+
+    frame  centre (B, 2) and unit (B,)
+    """
     whole = [v.contiguous() for v in (points, triangles, free, point_offsets, triangle_offsets, *frame)]
     meshes = len(point_offsets) - 1
     batch = _Batch(*(pointer(v) for v in whole), len(points), meshes, block)
@@ -74,13 +61,14 @@ def packed(
     of_vertices = torch.empty((4, count), dtype=torch.int64)
     x_rows, y_rows, vertices, point_mesh = of_vertices
     taken = torch.empty(kept, dtype=torch.int64)
-    columns = vector, anchored, rows, x_rows, y_rows, vertices, taken, point_mesh, edges
-    out = _Packing(*(pointer(v) for v in columns), size, kept, anchors)
+    columns = {
+        "unknowns": vector, "anchored": anchored, "rows": rows, "x_rows": x_rows, "y_rows": y_rows,
+        "vertices": vertices, "triangles": taken, "point_mesh": point_mesh, "edges": edges,
+    }  # fmt: skip
+    out = _Packing(*(pointer(v) for v in columns.values()), size, kept, anchors)
     call("tm_pack", None, ctypes.byref(batch), ADDRESS(pointer(block_offsets)), ADDRESS(pointer(anchor)),
          ctypes.byref(out))  # fmt: skip
-    return Packed(
-        vector, anchored, rows, x_rows, y_rows, vertices, taken, block_offsets, kept_offsets, point_mesh, edges
-    )
+    return columns | {"block_offsets": block_offsets, "triangle_offsets": kept_offsets}
 
 
 def vertex_size(points: Tensor, triangles: Tensor) -> Tensor:

@@ -151,6 +151,19 @@ def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None 
     return ((root == rows).cumsum(0) - 1).index_select(0, root)
 
 
+def edge_components(pairs: Tensor, count: int) -> Tensor:
+    """(V,) int64 the least of the vertices that the edges `pairs` (E, 2) join each of the `count` vertices to."""
+    label = torch.arange(count, device=pairs.device)
+    while len(pairs):
+        least = label[pairs].amin(1)
+        lower = label.scatter_reduce(0, pairs.reshape(-1), least.repeat_interleave(2), "amin")
+        lower = lower[lower]
+        if torch.equal(lower, label):
+            break
+        label = lower
+    return label
+
+
 def boundary_loops(boundary: Tensor) -> list[Tensor]:
     """The closed walks along `boundary` (E, 2) directed edges, each a tensor of vertices in order.
 

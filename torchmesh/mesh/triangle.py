@@ -143,6 +143,14 @@ def angles(t: Corners) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
+def least_ratio(angle: float) -> float:
+    """The lowest inverse mean ratio of a triangle with this angle in radians, that of the isosceles one.
+
+    It is (2 - cos t) / (sqrt(3) sin t): among triangles with a lower ratio none has so small an angle.
+    """
+    return (2 - math.cos(angle)) / (SQRT3 * math.sin(angle))
+
+
 # So many terms of 1 - x / 3 + x^2 / 5 - ..., x = t^2, give arctan(t) / t to 1e-17 for t <= tan(pi / 16).
 _TERMS = 12
 

@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -114,33 +113,6 @@ class ExtensionSystem:
         """Put K_II^-1 `right` (I, k) into the unknown rows of `into`."""
         for first, last, factors in self.factors:
             into[self.unknown[first:last]] = factors.solve(right[first:last])
-
-
-class Extended(torch.autograd.Function):
-    """The harmonic extension of values (V, k), differentiable in their known rows."""
-
-    @staticmethod
-    def forward(context: Any, values: Tensor, system: ExtensionSystem) -> Tensor:
-        context.system = system
-        return system.extended(values)
-
-    @staticmethod
-    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        return Adjoint.apply(gradient, context.system), None
-
-
-class Adjoint(torch.autograd.Function):
-    """The gradient of `Extended`; it is linear, and its own gradient is the extension again."""
-
-    @staticmethod
-    def forward(context: Any, gradient: Tensor, system: ExtensionSystem) -> Tensor:
-        context.system = system
-        return system.adjoint(gradient)
-
-    @staticmethod
-    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        known = context.system.known[:, None]
-        return Extended.apply(torch.where(known, gradient, 0.0), context.system), None
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ..kernels.energies import PackedTriangles, energies
 from ..kernels.library import library_for
-from ..kernels.minimiser import Outcome, Settings, minimise_meshes
+from ..kernels.minimiser import minimise_meshes
 from ..kernels.packing import packed
 from ..mesh.ragged import (
     counts_from_offsets,
@@ -32,7 +32,7 @@ from .assembly import Chunk, chunk_offsets, chunks_of, energy_and_forces
 from .blocks import BLOCK, block_width
 from .energies import Energy, formula_of
 from .jacobian import EdgeMap, Target, select_rows
-from .lbfgs import LbfgsOptions
+from .lbfgs_options import LbfgsOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def pack(
     if library_for(points) is not None:
         offsets = point_offsets, triangle_offsets
         made = packed(points.to(torch.float64), triangles, free, *offsets, (centre, unit), displacements, block)
-        return Packing(**made._asdict(), centre=centre, unit=unit)
+        return Packing(**made, centre=centre, unit=unit)
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     touched, kept, corner = _touched(triangles, free)
@@ -254,7 +254,7 @@ class MeshObjective:
 
     def minimised(
         self, start: Tensor, options: LbfgsOptions, monitor: Callable[[int, Tensor], None] | None
-    ) -> Outcome | None:
+    ) -> tuple[Tensor, ...] | None:
         """What the compiled minimiser comes to from `start` (N,); None where torch is to do its work."""
         packed = self.compiled
         if packed is None:
@@ -262,9 +262,8 @@ class MeshObjective:
         width = block_width(len(start), self.block_offsets)
         anchored, scale = self.anchored.to(start.dtype), self.scale.to(start.dtype)
         offsets = self.block_offsets.contiguous(), self.triangle_offsets.contiguous()
-        settings = Settings(*(getattr(options, name) for name in Settings._fields))
         return minimise_meshes(
-            packed, anchored, scale, *offsets, width, start.contiguous(), settings, self.enough, monitor
+            packed, anchored, scale, *offsets, width, start.contiguous(), vars(options), self.enough, monitor
         )
 
     def select(self, keep: Tensor) -> "MeshObjective":

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, vertex_mesh
+from ..mesh.alone import errors_alone
+from ..mesh.batch import MeshBatch, put, vertex_mesh
 from ..mesh.ragged import spread
 
 # A vertex lies on the line of a side if its distance from it is below this part of the side: rounding, and no more.
@@ -53,19 +54,16 @@ def in_order_or_errors(batch: MeshBatch, hold: Tensor | None = None) -> tuple[Me
     try:
         return *in_order(batch, hold), {}
     except Exception:
-        points, moved, errors = batch.points.clone(), torch.zeros(len(batch), dtype=torch.int64), {}
-        for b in range(len(batch)):
-            own = torch.arange(len(batch), device=batch.points.device) == b
-            rows = spread(own, batch.point_offsets)
-            try:
-                after, count = in_order(batch.select(own), None if hold is None else hold[rows])
-            except Exception as error:
-                errors[b] = error
-                continue
-            points[rows], moved[b] = after.points, count[0]
+        errors = errors_alone(batch, lambda mesh, rows: in_order(mesh, None if hold is None else hold[rows]))
         if not errors:
             raise
-        return batch.with_points(points), moved.to(batch.points.device), errors
+    sound = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
+    sound[list(errors)] = False
+    moved = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
+    if not bool(sound.any()):
+        return batch, moved, errors
+    after, counts = in_order(batch.select(sound), None if hold is None else hold[spread(sound, batch.point_offsets)])
+    return put(batch, sound, after), moved.masked_scatter(sound, counts), errors
 
 
 def _turning_back(points: np.ndarray, vertices: np.ndarray, back: np.ndarray, onward: np.ndarray) -> np.ndarray:

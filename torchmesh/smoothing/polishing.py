@@ -39,7 +39,7 @@ from ..mesh.ragged import (
     spread,
 )
 from ..mesh.submesh import picked, submesh
-from ..mesh.triangle import SQRT3, corners
+from ..mesh.triangle import corners, least_ratio
 from .boundary_limits import asked_of, fan_limits
 from .patches import Patches, every_flip, seeds_of
 from .smoothing import SmoothOptions, smooth
@@ -160,13 +160,10 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
 
 
 def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tensor:
-    """(T,) bool: the triangles of the valid meshes that are beyond `angle` or `ratio`; q is the batch's quality.
-
-    Among triangles with the angle t the isosceles one has the lowest inverse mean ratio, (2 - cos t) / (sqrt(3) sin t):
-    in triangles below this ratio no angle need be measured.
-    """
+    """(T,) bool: the triangles of the valid meshes that are beyond `angle` or `ratio`; q is the batch's quality."""
     t = math.radians(options.angle)
-    least = min((2 - math.cos(t)) / (SQRT3 * math.sin(t)), options.ratio) if t else options.ratio
+    # In triangles of a lower ratio than any with that angle has, no angle need be measured.
+    least = min(least_ratio(t), options.ratio) if t else options.ratio
     bad = q.inverse_mean_ratio > least
     rows = bad.nonzero().squeeze(1)
     valid = q.inverted.index_select(0, owner_of(rows, batch.triangle_offsets)) == 0

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
+from ..mesh.alone import errors_alone
 from ..mesh.batch import MeshBatch
 from ..mesh.curve_fitting import fit_curves
 from ..mesh.curve_motion import order_penalty, restore_area
@@ -82,14 +83,9 @@ def curves_or_errors(
     try:
         return curves_of(batch, corner_angle, hold, **which), {}
     except Exception:
-        errors = {}
-        for b in range(len(batch)):
-            own = torch.arange(len(batch), device=batch.points.device) == b
-            try:
-                of_own = None if hold is None else hold[spread(own, batch.point_offsets)]
-                curves_of(batch.select(own), corner_angle, of_own, **which)
-            except Exception as error:
-                errors[b] = error
+        errors = errors_alone(
+            batch, lambda mesh, rows: curves_of(mesh, corner_angle, None if hold is None else hold[rows], **which)
+        )
         if not errors:
             raise
     bad = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)

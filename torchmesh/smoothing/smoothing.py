@@ -16,7 +16,8 @@ from ..mesh.unfit import unfit_meshes
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import InverseMeanRatio
 from ..optimising.jacobian import equilateral
-from ..optimising.lbfgs import LbfgsOptions, minimise
+from ..optimising.lbfgs import minimise
+from ..optimising.lbfgs_options import LbfgsOptions
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing, pack
 from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check

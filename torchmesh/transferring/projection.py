@@ -7,7 +7,6 @@ overlaps of the triangles, so that R is exact.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -72,19 +71,6 @@ class MassMatrix:
                 raise ConvergenceError("the projection did not converge: are all values finite?")
             columns.append(found.x)
         return torch.stack(columns, 1) if columns else right
-
-
-class Projected(torch.autograd.Function):
-    """u = M^-1 r, (V, C); M is symmetric, so that the gradient of r is M^-1 times that of u."""
-
-    @staticmethod
-    def forward(context: Any, right: Tensor, mass: MassMatrix) -> Tensor:
-        context.mass = mass
-        return mass.unknowns(right)
-
-    @staticmethod
-    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        return Projected.apply(gradient, context.mass), None
 
 
 def mixed_mass(before: Side, after: Side, shared: Overlaps, sign: np.ndarray) -> SparseRows:

@@ -19,10 +19,11 @@ from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
 from ..mesh.ragged import counts_from_offsets, owner_of
 from ..mesh.validation import fit_positions
+from ..optimising.linear_map import LinearMap
 from .location import locate, nearest_triangles, nearest_vertices
 from .overlaps import Overlaps, overlaps, signed_areas
 from .pairs import Side, both_sides
-from .projection import MassMatrix, Projected, mixed_mass
+from .projection import MassMatrix, mixed_mass
 from .sparse_rows import Entries, SparseRows
 
 Where = Literal["points", "triangles"]
@@ -88,7 +89,9 @@ class Transfer:
             if not values.is_floating_point():
                 raise InvalidMeshError(f"values are {values.dtype}: only floats can be projected")
             right = (self.rows @ values.to(torch.float64)).reshape(self.rows.shape[0], -1)
-            out = Projected.apply(right, self.mass).to(values.dtype).reshape(self.rows.shape[0], *values.shape[1:])
+            # The matrix is symmetric: its inverse transposed is its inverse.
+            out = LinearMap(self.mass.unknowns, self.mass.unknowns)(right).to(values.dtype)
+            out = out.reshape(self.rows.shape[0], *values.shape[1:])
         return out, self._overshoots(values.detach(), out.detach())
 
     def _overshoots(self, values: Tensor, out: Tensor) -> Tensor:

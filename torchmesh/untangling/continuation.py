@@ -11,7 +11,8 @@ from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segme
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import Regularised
 from ..optimising.jacobian import Target, select_rows
-from ..optimising.lbfgs import LbfgsResult, minimise
+from ..optimising.lbfgs import minimise
+from ..optimising.lbfgs_options import LbfgsResult
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing
 from ..status import Status

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from ..mesh.interfaces import Interfaces, check_interfaces
-from ..optimising.lbfgs import LbfgsOptions
+from ..optimising.lbfgs_options import LbfgsOptions
 
 
 @dataclass(frozen=True)

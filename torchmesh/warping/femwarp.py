@@ -14,7 +14,8 @@ from ..mesh.ragged import segment_any
 from ..mesh.triangle import corners
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
-from ..optimising.laplacian import Extended, ExtensionSystem, cotangent_weights, harmonic_extension
+from ..optimising.laplacian import ExtensionSystem, cotangent_weights, harmonic_extension
+from ..optimising.linear_map import LinearMap
 
 
 def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
@@ -38,7 +39,7 @@ def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None)
         fixed = system.known[:, None]
         # The values are those of `target`, and the gradient goes to the rows that count.
         asked = torch.where(fixed, new_points.to(batch.points), target)
-        return batch.with_points(Extended.apply(asked, system))
+        return batch.with_points(LinearMap(system.extended, system.adjoint)(asked))
     with torch.no_grad():
         return batch.with_points(system.extended(target))
 
