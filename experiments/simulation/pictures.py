@@ -26,7 +26,7 @@ def draw(runs: dict[str, Run], out: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(3, 1, figsize=(8, 9), sharex=True, layout="constrained")
-    figure.suptitle("A disc travels through a channel and back: heat, shapes and cost by each way to move the mesh")
+    axes[0].set_title("A disc through a channel and back, by each way to move the mesh")
     for (name, run), (line, colour) in zip(runs.items(), _STYLES, strict=False):
         style = {"linestyle": line, "color": colour, "linewidth": 1.2}
         axes[0].semilogy(np.maximum(run.drift, 1e-17), label=name, **style)
@@ -38,7 +38,7 @@ def draw(runs: dict[str, Run], out: Path) -> None:
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
     axes[2].set_xlabel("step")
-    figure.legend(loc="outside right upper", fontsize=8)
+    figure.legend(loc="outside right center", fontsize=8)
     figure.savefig(out / "channel.png", dpi=110)
     plt.close(figure)
 
