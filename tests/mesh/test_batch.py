@@ -397,6 +397,58 @@ def test_select_takes_one_bool_a_mesh():
             batch.select(keep)
 
 
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("numbers", [[0], [2, 0], [1, 1, 2, 0]])
+@pytest.mark.parametrize("given_as", [list, np.array, torch.tensor, lambda n: torch.tensor(n, dtype=torch.int32)])
+def test_meshes_are_taken_in_any_order_and_any_number_of_times(numbers, given_as, known):
+    parts = three()
+    batch = join(parts)
+    taken = (batch if known else dataclasses.replace(batch, _twin=None))[given_as(numbers)]
+    assert same(taken, join([parts[n] for n in numbers]))
+    assert (taken.known_twin is not None) == known
+    assert torch.equal(taken.twin, connectivity.twins(taken.triangles))
+
+
+@pytest.mark.parametrize("index", [0, -1, 2, np.int64(1), torch.tensor(2)])
+def test_a_number_gives_one_mesh(index):
+    parts = three()
+    assert same(join(parts)[index], parts[int(index)])
+
+
+@pytest.mark.parametrize("index", [slice(1, 3), slice(None), slice(None, None, -1), slice(-2, None), slice(2, 0, -1)])
+def test_a_slice_gives_the_meshes_of_a_list(index):
+    parts = three()
+    assert same(join(parts)[index], join(parts[index]))
+
+
+@pytest.mark.parametrize("index", [slice(2, 1), [], torch.zeros(3, dtype=torch.bool), np.zeros(0, int)])
+def test_no_meshes_are_a_batch_of_none(index):
+    none = join(three())[index]
+    assert (len(none), len(none.points), len(none.triangles)) == (0, 0, 0)
+    assert list(none) == []
+
+
+@pytest.mark.parametrize("given_as", [list, np.array, torch.tensor])
+def test_a_mask_gives_what_select_does(given_as):
+    batch, mask = join(three()), [True, False, True]
+    assert same(batch[given_as(mask)], batch.select(torch.tensor(mask)))
+
+
+def test_a_batch_is_walked_through_mesh_by_mesh():
+    parts = three()
+    assert all(same(mesh, part) for mesh, part in zip(join(parts), parts, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("index", "error"),
+    [(3, IndexError), (-4, IndexError), ([0, 3], IndexError), ([True], IndexError), (0.0, TypeError), (None, TypeError),
+     ([0.5], TypeError), ((0, 1), TypeError), ("a", TypeError), (True, TypeError), ([[0]], TypeError)],
+)  # fmt: skip
+def test_an_index_that_names_no_mesh_is_refused(index, error):
+    with pytest.raises(error, match="meshes"):
+        join(three())[index]
+
+
 def test_put_undoes_select():
     batch, at = join(three()), torch.tensor([True, False, True])
     part = batch.select(at)

@@ -7,7 +7,7 @@ which rows belong to which mesh.  A single mesh is a batch of one.
 import dataclasses
 import itertools
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,8 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
-from .ragged import counts_from_offsets, offsets_from_counts, owner_of, rows_of, segment_ids, spread
+from .numbers import numbers_of
+from .ragged import counts_from_offsets, offsets_from_counts, owner_of, rows_of, rows_of_each, segment_ids, spread
 from .validation import (
     checked_constraints,
     checked_fixed,
@@ -185,32 +186,42 @@ class MeshBatch:
             )
         return meshes
 
+    def __getitem__(self, index: Any) -> "MeshBatch":
+        """Some of the meshes as a batch: `batch[0]`, `batch[-1]`, `batch[2:5]`, `batch[[4, 0, 0]]`, `batch[mask]`.
+
+        index  a number, a slice, numbers in any order and any number of times, or (B,) bool; sequence, numpy or torch
+
+        Raises IndexError for a mesh that is not there, and TypeError for anything else.
+        """
+        return self._taken(numbers_of(index, len(self), self.points.device))
+
+    def __iter__(self) -> Iterator["MeshBatch"]:
+        return iter(self.split())
+
     def select(self, keep: Tensor) -> "MeshBatch":
         """The meshes whose `keep` (B,) bool is true, in their order."""
         keep = torch.as_tensor(keep, device=self.points.device)
         if keep.dtype != torch.bool or keep.shape != (len(self),):
             raise InvalidMeshError(f"keep must be ({len(self)},) bool, not {tuple(keep.shape)} {keep.dtype}")
-        if bool(keep.all()):
-            return self
-        vertex_counts = counts_from_offsets(self.point_offsets)
-        rows, faces = rows_of(keep, self.point_offsets), rows_of(keep, self.triangle_offsets)
-        offsets = offsets_from_counts(vertex_counts[keep])
-        triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[keep])
-        shift = torch.zeros_like(vertex_counts)
-        shift[keep] = offsets[:-1] - self.point_offsets[:-1][keep]
-        owner = constraint_owner(self)
-        constraints = keep[owner]
-        triangles = self.triangles.index_select(0, faces).add_(spread(shift[keep], triangle_offsets)[:, None])
+        return self if bool(keep.all()) else self._taken(keep.nonzero().squeeze(1))
+
+    def _taken(self, numbers: Tensor) -> "MeshBatch":
+        """The meshes of these `numbers` (M,) int64, in this order."""
+        rows, faces = rows_of_each(numbers, self.point_offsets), rows_of_each(numbers, self.triangle_offsets)
+        offsets = offsets_from_counts(counts_from_offsets(self.point_offsets)[numbers])
+        triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[numbers])
+        shift = offsets[:-1] - self.point_offsets[:-1][numbers]
+        triangles = self.triangles.index_select(0, faces).add_(spread(shift, triangle_offsets)[:, None])
         twin = self.known_twin
         return MeshBatch(
             self.points.index_select(0, rows),
             triangles,
             self.fixed.index_select(0, rows),
-            (self.constrained_edges + shift[owner][:, None])[constraints],
+            _taken_constraints(self, numbers, shift),
             offsets,
             triangle_offsets,
-            self.frames[keep],
-            None if twin is None else (triangles, _selected_twins(self, twin, keep)),
+            self.frames[numbers],
+            None if twin is None else (triangles, _taken_twins(self, twin, numbers, triangle_offsets)),
         )
 
 
@@ -298,13 +309,23 @@ def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
     )
 
 
-def _selected_twins(batch: MeshBatch, twin: Tensor, keep: Tensor) -> Tensor:
-    """The twins (3T',) of `batch.select(keep)` from those of `batch` (3T,)."""
-    offsets = 3 * batch.triangle_offsets
-    counts = counts_from_offsets(offsets)
-    shift = offsets[:-1] - offsets_from_counts(counts * keep)[:-1]
-    part = twin.index_select(0, rows_of(keep, offsets))
-    return _shifted(part, -shift[keep].repeat_interleave(counts[keep]))
+def _taken_constraints(batch: MeshBatch, numbers: Tensor, shift: Tensor) -> Tensor:
+    """(K', 2) the constrained edges of the meshes `numbers`, whose vertices are renumbered by `shift` (M,)."""
+    if not len(batch.constrained_edges):
+        return batch.constrained_edges
+    owner = constraint_owner(batch)
+    order = owner.argsort(stable=True)
+    ends = offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
+    rows = order[rows_of_each(numbers, ends)]
+    moved = shift.repeat_interleave(counts_from_offsets(ends)[numbers])
+    return batch.constrained_edges[rows] + moved[:, None]
+
+
+def _taken_twins(batch: MeshBatch, twin: Tensor, numbers: Tensor, triangle_offsets: Tensor) -> Tensor:
+    """The twins (3T',) of the meshes `numbers` of `batch`, whose triangles get `triangle_offsets` (M+1,)."""
+    part = twin.index_select(0, rows_of_each(numbers, 3 * batch.triangle_offsets))
+    shift = 3 * (triangle_offsets[:-1] - batch.triangle_offsets[:-1][numbers])
+    return _shifted(part, spread(shift, 3 * triangle_offsets))
 
 
 def _put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tensor:
