@@ -28,6 +28,7 @@ class Draft:
     dropped    names for what of that file has no place in the new mesh or in the new format
     unheld     names for what the format cannot hold of the rest
     stale      names for values at nodes that moved, which stay as they were in a file that is changed in place
+    remarks    what is written otherwise than in the file that is followed, and nothing is lost by it
     """
 
     path: Path
@@ -39,6 +40,7 @@ class Draft:
     dropped: tuple[str, ...] = ()
     unheld: tuple[str, ...] = ()
     stale: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -67,7 +69,8 @@ class Draft:
                 )
             return cls(path, mesh, like, same_rows, True, source, dropped, (), stale)
         fitted, unheld = form.fit(mesh)
-        return cls(path, fitted, like, same_rows, False, source, dropped, tuple(sorted(unheld)))
+        remarks = tuple(form.remarks(like, same_rows))
+        return cls(path, fitted, like, same_rows, False, source, dropped, tuple(sorted(unheld)), (), remarks)
 
     @property
     def lost(self) -> list[str]:
@@ -76,13 +79,15 @@ class Draft:
         return list(dict.fromkeys([*self.dropped, *self.unheld, *stale]))
 
     def tell(self) -> None:
-        """Gives a MeshWarning that names what is lost."""
+        """Gives MeshWarnings that name what is lost, and what is written otherwise."""
         if self.dropped:
             warn(f"{self.path}: not carried over from {self.source}: {', '.join(self.dropped)}")
         if self.unheld:
             warn(f"{self.path}: {format_of(self.path).name} files do not hold {', '.join(self.unheld)}; dropped")
         if self.stale:
             warn(f"{self.path}: values at nodes that moved stay as they were: {', '.join(self.stale)}")
+        for remark in self.remarks:
+            warn(f"{self.path}: {remark}")
 
     def refuse(self) -> None:
         """Raises MeshIOError if anything is lost."""

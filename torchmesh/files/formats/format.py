@@ -105,6 +105,10 @@ class Format(abc.ABC):
         """
         raise NotImplementedError
 
+    def remarks(self, like: Document | None, same_rows: bool) -> list[str]:
+        """What is written otherwise than in `like`, and nothing is lost by it; arguments as those of `write`."""
+        return []
+
     def recognises(self, head: bytes) -> bool:
         """Can a file with these first bytes (4096 at most) be of this format?
 

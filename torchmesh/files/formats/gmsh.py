@@ -3,7 +3,8 @@
 meshio's own reader forgets what its mesh type cannot hold (groups of entities without nodes, second physical
 groups, node numbers, partitions, periodicity) and refuses files whose groups cover only some of the entities.
 Here a file is the list of its sections.  Nodes and elements are parsed; all other sections are kept as the bytes
-that they are, and written back.
+that they are, and written back.  Of $Entities one thing changes: where only some entities have a physical group, the
+others are put into the group 0, so that meshio reads what is written.
 
     $MeshFormat ... $PhysicalNames ... $Entities ... $Nodes ... $Elements ... $NodeData ...
 
@@ -45,7 +46,13 @@ class GmshFormat(Format):
         if file is None or not same_rows:
             binary = like is None or like.binary is None or like.binary
             mesh, file = new_file(mesh, file.version if file else _version(mesh), binary, file)
-        gmsh_write.write(path, mesh, file)
+        gmsh_write.write(path, mesh, gmsh_read.with_group_0(file) if file.version == "4.1" else file)
+
+    def remarks(self, like: Document | None, same_rows: bool) -> list[str]:
+        file = like.rest if like is not None else None
+        if file is None or file.version != "4.1" or gmsh_read.with_group_0(file) is file:
+            return []
+        return ["cells without a physical group are in the group 0 now, as meshio reads no file that has some of each"]
 
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """Beside what other formats do, the regions become physical groups."""

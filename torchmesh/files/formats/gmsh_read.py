@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -173,19 +174,46 @@ class RowOf:
 
 def entity_groups(file: MshFile) -> dict[tuple[int, int], list[int]]:
     """The physical groups of each entity, which is given by dimension and number; version 4.1 only."""
-    groups: dict[tuple[int, int], list[int]] = {}
+    return {(dim, entity): groups for dim, entity, _, groups in _entities(file)}
+
+
+def with_group_0(file: MshFile) -> MshFile:
+    """The file with each entity that has elements and no physical group in the group 0, if others have groups.
+
+    Version 4.1 lets entities be without a group, but meshio refuses files in which some have one and some have none.
+    0 stands for no group in version 2.2.  A file that meshio takes comes back as it is.
+    """
+    used = {(KINDS[block.kind][1], block.entity) for block in file.elements}
+    entities = [(place, groups) for dim, entity, place, groups in _entities(file) if (dim, entity) in used]
+    places = [place for place, groups in entities if not groups]
+    if not places or len(places) == len(entities):
+        return file
+    payload = dict(file.sections).get("Entities", b"")
+    words = [] if file.binary else [match.span() for match in re.finditer(rb"\S+", payload)]
+    one = np.array([1], f"u{file.size}").tobytes() + np.int32(0).tobytes() if file.binary else b"1 0"
+    for place in reversed(places):
+        start, end = (place, place + file.size) if file.binary else words[place]
+        payload = payload[:start] + one + payload[end:]
+    return replace(file, sections=[(n, payload if n == "Entities" else text) for n, text in file.sections])
+
+
+def _entities(file: MshFile) -> Iterator[tuple[int, int, int, list[int]]]:
+    """Dimension, number and physical groups of each entity; before the groups where their count stands in $Entities.
+
+    The place is the byte in a binary file, and the number of the word in a text file.
+    """
     payload = dict(file.sections).get("Entities")
     if payload is None:
-        return groups
+        return
     numbers, count = _Numbers(payload, file.binary, "Entities"), f"u{file.size}"
     for dim, n in enumerate(numbers.take(4, count).tolist()):
         for _ in range(int(n)):
             entity = int(numbers.take(1, np.int32)[0])
             numbers.take(3 if dim == 0 else 6, float)  # its coordinates, or its bounding box
-            groups[dim, entity] = numbers.take(int(numbers.take(1, count)[0]), np.int32).tolist()
+            place = numbers.position
+            yield dim, entity, place, numbers.take(int(numbers.take(1, count)[0]), np.int32).tolist()
             if dim:
                 numbers.take(int(numbers.take(1, count)[0]), np.int32)  # the entities that bound it
-    return groups
 
 
 def _to_mesh(file: MshFile, row_of: RowOf) -> meshio.Mesh:
