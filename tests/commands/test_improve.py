@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from children import started
-from command_line import Outcome, inverted, names, process
+from command_line import Outcome, inverted, is_one_clear_line, names, process
 from layered import round_body
 
 from torchmesh import quality, read, write
@@ -338,3 +338,37 @@ def test_the_place_of_a_fault_that_is_left_is_printed(call, folder):
     assert len(said) == 1
     assert f"vertices {min(int(one), int(other))} and {max(int(one), int(other))} are both at (0.333333, 0)" in said[0]
     assert call("improve", "fault.vtu", "out.vtu", "--boundary", "slide").status == 0
+
+
+def split_by(folder, name: str) -> None:
+    """A tangle whose left and right half have two numbers in cell data of that name."""
+    mesh = meshes.moved_hole()
+    points = np.pad(mesh.points.numpy(), ((0, 0), (0, 1)))
+    sides = (points[mesh.triangles.numpy(), 0].mean(1) > 0.5).astype(np.int64)
+    meshio.Mesh(points, [("triangle", mesh.triangles.numpy())], cell_data={name: [sides]}).write(folder / "parts.vtu")
+
+
+def test_ranks_are_no_regions_and_it_is_said_which_data_is(call, folder):
+    split_by(folder, "mpi_rank")
+    done = call("improve", "parts.vtu", "out.vtu", "--report", "report.json")
+    assert done.status == 0
+    assert "regions: no regions by cell data 'mpi_rank' (--regions NAME takes it)" in done.out
+    assert json.loads((folder / "report.json").read_text())["regions_by"]["passed_over"] == ["mpi_rank"]
+    split_by(folder, "material")
+    done = call("improve", "parts.vtu", "out.vtu", "--interfaces", "free")
+    assert "regions: 2 regions by cell data 'material'" in done.out
+    assert "regions: " not in call("improve", "tangled.vtu", "out.vtu").out
+
+
+def test_messages_on_constrained_edges_name_the_array(call, folder):
+    points, triangles = meshes.grid_arrays(6, 6)
+    sides = (points[triangles, 0].mean(1) > 0.5).astype(np.int64)
+    points[(points == [0.5, 0.5]).all(1)] = [0.5, 1.3]  # a vertex of the interface, beyond the boundary
+    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("triangle", triangles)], cell_data={"mpi_rank": [sides]}).write(
+        folder / "parts.vtu"
+    )
+    done = call("improve", "parts.vtu", "out.vtu", "--regions", "mpi_rank", "-q")
+    assert done.status == 1
+    assert "constrained edges are interfaces between regions by cell data 'mpi_rank'; --regions NAME|none" in done.err
+    assert call("improve", "parts.vtu", "out.vtu", "--regions", "none").status == 0
+    assert is_one_clear_line(call("improve", "parts.vtu", "out.vtu", "--regions", "rank"), "it has 'mpi_rank'")

@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 from file_contents import LEFT, N, flipped, grid, load, save
 
+from torchmesh.errors import InvalidMeshError, MeshWarning
+from torchmesh.files.fields import Regions
 from torchmesh.files.mesh_files import read, write
+from torchmesh.files.source import Source
 
 
 def constrained(tmp_path, **changes) -> int:
@@ -16,9 +19,19 @@ def constrained(tmp_path, **changes) -> int:
     ("name", "values", "edges"),
     [
         ("gmsh:physical", "sides", N - 1),
-        ("anything", "sides", N - 1),
-        ("anything", "sides as float", 0),
-        ("anything", "number of each", 0),
+        ("material_id", "sides", N - 1),
+        ("SubdomainMarker", "sides", N - 1),
+        ("Mat Id", "sides", N - 1),
+        ("material_id", "sides as float", 0),
+        ("material_id", "number of each", 0),
+        # What merely repeats is no region, whatever it is called.
+        ("rank", "sides", 0),
+        ("part_id", "sides", 0),
+        ("level", "sides", 0),
+        ("refinement_flag", "sides", 0),
+        ("vtkGhostType", "sides", 0),
+        ("mpi_domain_rank", "sides", 0),
+        ("anything", "sides", 0),
         ("CellEntityIds", "number of each", 40),  # a name that means regions is taken at its word
     ],
 )
@@ -26,6 +39,35 @@ def test_regions_part_where_integers_differ(tmp_path, name, values, edges):
     sides = grid().cell_data["region"][1]
     field = {"sides": sides, "sides as float": sides.astype(float), "number of each": np.arange(32)}[values]
     assert constrained(tmp_path, cell_data={name: [np.zeros(4, field.dtype), field]}) == edges
+
+
+def test_a_name_or_none_chooses_what_tells_the_regions(tmp_path):
+    sides = grid().cell_data["region"][1]
+    data = {
+        name: [np.zeros(4, v.dtype), v] for name, v in (("rank", sides), ("whole", sides + 0.0), ("half", sides / 4))
+    }
+    path = save(tmp_path / "a.vtu", grid(cell_data=data | {"material": [np.zeros(4, int), np.ones(32, int)]}))
+    assert len(read(path).constrained_edges) == 0
+    assert len(read(path, regions="rank").constrained_edges) == N - 1
+    assert len(read(path, regions="whole").constrained_edges) == N - 1
+    assert Source.open(path).content.told_by == Regions(("material",), (), ("rank",))
+    for name, why in (("half", "not one whole number"), ("absent", "it has 'rank', 'whole', 'half', 'material'")):
+        with pytest.raises(InvalidMeshError, match=why):
+            read(path, regions=name)
+    path = save(tmp_path / "b.vtu", grid())
+    assert len(read(path).constrained_edges) == N - 1
+    assert len(read(path, regions="none").constrained_edges) == 0
+
+
+def test_what_is_not_taken_for_regions_is_no_region_in_a_format_with_room_for_one(tmp_path):
+    sides = grid().cell_data["region"][1]
+    path = save(tmp_path / "a.vtu", grid(cell_data={"rank": [np.zeros(4, int), sides]}, point_data={}))
+    source = Source.open(path)
+    with pytest.warns(MeshWarning, match="rank"):
+        write(tmp_path / "b.mesh", source.mesh, like=source)
+    source = Source.open(path, "rank")
+    write(tmp_path / "c.mesh", source.mesh, like=source)
+    assert len(read(tmp_path / "c.mesh").constrained_edges) == N - 1
 
 
 def test_cell_sets_are_regions(tmp_path):

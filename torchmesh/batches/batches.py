@@ -43,6 +43,7 @@ class Job:
     staging  a folder in the folder of results, where the file is written first
     size     bytes of the input, by which work is shared out; 0 where the size is not known
     strict   is the output an error, and not written, if it would not hold everything that is in the input
+    regions  what tells the regions of the file, as for `read`
     """
 
     name: str
@@ -51,6 +52,7 @@ class Job:
     staging: str
     size: int = 0
     strict: bool = False
+    regions: str | None = None
 
 
 @dataclass
@@ -112,7 +114,7 @@ def _read(job: Job, label: str) -> _Opened | FileResult:
         with _recorded_warnings() as said:
             with contextlib.suppress(OSError):  # the reader's message for a missing file is clearer
                 facts |= fingerprint(job.file)
-            series = read_series(job.file)
+            series = read_series(job.file, regions=job.regions)
     except Exception as error:
         return _failed(job, facts, error, time.perf_counter() - started)
     facts["warnings"] = _texts(said)

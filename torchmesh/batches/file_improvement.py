@@ -27,12 +27,14 @@ from ..mesh.measure import Quality, quality
 from ..mesh.vertex_map import VertexMap
 
 
-def open_mesh(path: str | os.PathLike[str]) -> Series:
+def open_mesh(path: str | os.PathLike[str], regions: str | None = None) -> Series:
     """A file that holds one mesh, as a series of one step; raises and warns as `torchmesh.read` does.
+
+    regions  what tells the regions, as for `torchmesh.read`
 
     Unlike `read_series`, this refuses a time series.
     """
-    source = Source.open(path)
+    source = Source.open(path, regions)
     return Series(source.mesh, [0.0], [0], [source])
 
 
@@ -117,6 +119,7 @@ def improve_series(
     hold = torch.cat([_held(file) for file in files]) if options.slides else None
     walls = partial(_walls, files)
     after, report = improve(batch, options, progress=progress, observe=observe, hold=hold, walls=walls)
+    _explain(files, report)
     meshes = after.split()
     maps = None if report.vertex_map is None else report.vertex_map.split(batch, after)
     improved, first = [], 0
@@ -126,6 +129,16 @@ def improve_series(
         own = None if maps is None else maps[rows]
         improved.append(ImprovedFile(file, meshes[rows], rows, before, report, own, fields))
     return improved
+
+
+def _explain(files: Sequence[Series], report: Report) -> None:
+    """Messages say what their files call the rows that they name, and what constrained edges come from."""
+    first = 0
+    for file in files:
+        for mesh in range(len(file.batch)):
+            source = file.sources[file.mesh_of_step.index(mesh)]
+            report.messages[first + mesh] = source.explained(report.messages[first + mesh])
+        first += len(file.batch)
 
 
 def _held(file: Series) -> torch.Tensor:

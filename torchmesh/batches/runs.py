@@ -51,6 +51,7 @@ def improve_files(
     redo: bool = False,
     strict: bool = False,
     fields: FieldChoice = "interpolate",
+    regions: str | None = None,
 ) -> Iterator[FileResult]:
     """Improves mesh files into the folder `out`.  The work is done while you iterate over the results.
 
@@ -66,6 +67,7 @@ def improve_files(
     redo     begin anew, whatever `out` holds from earlier runs
     strict   a file that would not hold everything that is in its input is an error, and is not written
     fields   what becomes of the fields of the files, as for `write`
+    regions  what tells the regions of the files, as for `read`
 
     Every file is written whole or not at all, and the manifest after it.  The process, its workers or the machine may
     therefore be killed at any time, and the same call continues.  A result of an earlier run has `resumed` set; errors
@@ -75,7 +77,7 @@ def improve_files(
     when another run writes to `out`, or when `out` cannot be written; ValueError for a bad argument;
     MissingDependencyError for engine "ray" without Ray.  What is wrong with a single file is in its result.
     """
-    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo, strict, fields).results()
+    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo, strict, fields, regions).results()
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ class Run:
     strict    as for `improve_files`
     changed   why results of earlier runs do not hold, and how many for each reason
     fields    what becomes of the fields of the files
+    regions   what tells the regions of the files
     """
 
     out: Path
@@ -99,6 +102,7 @@ class Run:
     strict: bool = False
     changed: dict[str, int] = field(default_factory=dict)
     fields: FieldChoice = "interpolate"
+    regions: str | None = None
 
     @classmethod
     def plan(
@@ -113,16 +117,18 @@ class Run:
         redo: bool = False,
         strict: bool = False,
         fields: FieldChoice = "interpolate",
+        regions: str | None = None,
     ) -> "Run":
         """Finds the files and compares them with the manifest; arguments and errors are those of `improve_files`."""
         options, out = options or ImproveOptions(), Path(out)
         _check_arguments(options, engine, workers, budget)
         check_choice(fields)
-        jobs = [dataclasses.replace(job, strict=strict) for job in find_jobs(paths, out, suffix)]
+        jobs = [dataclasses.replace(job, strict=strict, regions=regions) for job in find_jobs(paths, out, suffix)]
         if out.exists() and not out.is_dir():
             raise MeshIOError(f"{out}: is not a folder")
         known = {} if redo else manifest.load(out)
-        label, kept, left, changed = settings(options, fields) + ", strict" * strict, [], [], dict[str, int]()
+        label = settings(options, fields, regions) + ", strict" * strict
+        kept, left, changed = [], [], dict[str, int]()
         for job in jobs:
             result = known.get(job.name)
             reason = "" if result is None else _stale(job, result, label)
@@ -133,7 +139,7 @@ class Run:
             else:
                 kept.append(result)
         left.sort(key=lambda job: (-job.size, job.name))  # a large one at the end would leave other workers idle
-        return cls(out, options, engine, workers, budget, kept, left, strict, changed, fields)
+        return cls(out, options, engine, workers, budget, kept, left, strict, changed, fields, regions)
 
     def results(self) -> Iterator[FileResult]:
         """The kept results, then the others as they are made; each is in the manifest before it is given."""
@@ -153,7 +159,7 @@ class Run:
 
     def _made(self) -> Generator[FileResult, None, None]:
         """The results of the jobs, as workers finish them."""
-        label = settings(self.options, self.fields) + ", strict" * self.strict
+        label = settings(self.options, self.fields, self.regions) + ", strict" * self.strict
         with contextlib.ExitStack() as stack:
             kind: type[LocalWorker] | type[RayWorker] = LocalWorker
             count = self.workers or processors()
@@ -188,14 +194,15 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def settings(options: ImproveOptions, fields: FieldChoice = "interpolate") -> str:
+def settings(options: ImproveOptions, fields: FieldChoice = "interpolate", regions: str | None = None) -> str:
     """The version and those options that differ from the default, in words.
 
     Two runs with the same text give the same results.
     """
     from importlib.metadata import version
 
-    changes = ", ".join([*_changes(options, ImproveOptions()), *_changes(fields, "interpolate", "fields")])
+    beside = [*_changes(fields, "interpolate", "fields"), *_changes(regions, None, "regions")]
+    changes = ", ".join([*_changes(options, ImproveOptions()), *beside])
     return f"torchmesh {version('torchmesh-untangle')}" + (f", {changes}" if changes else "")
 
 

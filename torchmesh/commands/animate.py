@@ -19,6 +19,7 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    RegionsOption,
     Scope,
     ScopeOption,
     Shapes,
@@ -44,6 +45,7 @@ def animate(
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
     beta: BetaOption = None,
+    regions: RegionsOption = None,
     quiet: QuietOption = False,
 ) -> int:
     """Improve a mesh and write a film of it: the whole mesh and its worst place, stage by stage.
@@ -60,7 +62,7 @@ def animate(
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     check_distinct(source, film)
     check_film_path(film)
-    observed = observe(open_mesh(source), options, quiet)
+    observed = observe(open_mesh(source, regions), options, quiet)
     write_film(film, observed.stages, title=title or source.name)
     if not quiet:
         stages = console.counted(len(observed.stages), "stage")

@@ -24,6 +24,7 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    RegionsOption,
     Scope,
     ScopeOption,
     Shapes,
@@ -90,6 +91,7 @@ def batch(
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
+    regions: RegionsOption = None,
     fields: FieldsOption = Fields.interpolate,
     suffix: Annotated[
         str | None,
@@ -116,7 +118,7 @@ def batch(
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     try:
         run = Run.plan(
-            sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value
+            sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value, regions
         )
     except ValueError as error:
         raise UsageError(str(error)) from None

@@ -24,6 +24,7 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    RegionsOption,
     Scope,
     ScopeOption,
     Shapes,
@@ -39,6 +40,7 @@ from .targets import check_distinct, check_mesh_target
 
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
+    from ..files.source import Source
     from ..files.time_series import SeriesDraft
     from ..improving.report import Report
     from ..mesh.batch import MeshBatch
@@ -51,6 +53,7 @@ EXAMPLES = (
     "torchmesh improve tangled.vtk better.vtk --boundary slide",
     "torchmesh improve stretched.vtu better.vtu --scope damage",
     "torchmesh improve regions.msh better.msh --interfaces free",
+    "torchmesh improve regions.msh better.msh --regions none",
     "torchmesh improve moved.vtu better.vtu --fields carry",
     "torchmesh improve moved.vtu better.vtu --reference undeformed.vtu",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
@@ -95,6 +98,7 @@ def improve(
     shapes: ShapesOption = Shapes.auto,
     reference: ReferenceOption = None,
     beta: BetaOption = None,
+    regions: RegionsOption = None,
     fields: FieldsOption = Fields.interpolate,
     report: ReportOption = None,
     plot: PlotOption = None,
@@ -119,7 +123,7 @@ def improve(
     use_threads(threads)
 
     started = time.perf_counter()
-    given = open_mesh(source)
+    given = open_mesh(source, regions)
     if reference is not None:
         options = replace(options, reference=_in_the_same_plane(reference, given.batch))
     with console.progress(quiet) as show:
@@ -141,6 +145,7 @@ def improve(
             "shapes": shapes.value,
             "reference": None if reference is None else str(reference),
             "beta": beta,
+            "regions_by": _told_by(improved.given.sources[0]),
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
             **columns,
@@ -150,6 +155,7 @@ def improve(
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
         _print_notes(improved.report, draft)
+        _print_told_by(improved.given.sources[0])
     return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0], quads)
 
 
@@ -206,6 +212,27 @@ def _print_regions(regions: "RegionAreas") -> None:
     change = 100 * regions.change
     areas = f"{console.counted(len(change), 'region')}, areas changed by {change.min():+.3g} to {change.max():+.3g} %"
     console.stdout().print(f"interfaces: {areas}", markup=False, soft_wrap=True)
+
+
+def _told_by(source: "Source") -> dict[str, Any]:
+    """What of the file tells its regions, how many there are, and what was passed over."""
+    content = source.content
+    return {
+        "cell_data": list(content.told_by.data),
+        "cell_sets": list(content.told_by.sets),
+        "regions": int(content.region.max()) + 1,
+        "passed_over": list(content.told_by.others),
+    }
+
+
+def _print_told_by(source: "Source") -> None:
+    """Says which cell data or sets were taken for regions, and which might have been."""
+    told, count = source.content.told_by, int(source.content.region.max()) + 1
+    parts = [f"{console.counted(count, 'region')} by {told}"] if str(told) else []
+    if told.others:
+        parts.append(f"no regions by cell data {', '.join(map(repr, told.others))} (--regions NAME takes it)")
+    if parts and (count > 1 or told.others):
+        console.stdout().print(f"regions: {'; '.join(parts)}", markup=False, soft_wrap=True)
 
 
 def _check_targets(source: Path, target: Path, report: Path | None, plot: Path | None) -> None:

@@ -59,7 +59,8 @@ def quality(
 ) -> int:
     """Measure meshes: inverted triangles, shapes, and where the worst ones are.
 
-    IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0. The worst are
+    IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0; elements are the
+    file's own numbers (Gmsh, Nastran, Abaqus, Kratos, Exodus). The worst are
     the inverted triangles, largest first, then those of the highest IMR. A quad is inverted if one of its corners is
     not upright. The exit status is 1 if any triangle or quad of any file is inverted (an area of zero included).
     """
@@ -102,6 +103,7 @@ def _metric_names(option: str | None) -> list[str]:
 
 def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -> dict[str, Any]:
     """All that was asked about one file, as plain values."""
+    from ..files.own_numbers import triangle_numbers
     from ..mesh.measure import quality as measure
     from ..mesh.metrics import evaluate
 
@@ -111,7 +113,7 @@ def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -
     record = {
         "file": str(source.path),
         **console.record(mesh, q, (len(source.quads), len(folded))),
-        "worst": _worst(mesh, q, worst),
+        "worst": _worst(mesh, q, worst, triangle_numbers(source.document)),
     }
     if len(source.quads):
         record["rows_of_inverted_quads"] = folded
@@ -122,8 +124,11 @@ def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -
     return record
 
 
-def _worst(mesh: "MeshBatch", q: "Quality", count: int) -> list[dict[str, Any]]:
-    """The `count` worst triangles: inverted ones, largest first, then those of the highest IMR."""
+def _worst(mesh: "MeshBatch", q: "Quality", count: int, own: Any = None) -> list[dict[str, Any]]:
+    """The `count` worst triangles: inverted ones, largest first, then those of the highest IMR.
+
+    own  (T,) what the file calls each triangle; None: it has no numbers
+    """
     import torch
 
     from ..mesh.batch import lift
@@ -137,6 +142,7 @@ def _worst(mesh: "MeshBatch", q: "Quality", count: int) -> list[dict[str, Any]]:
     return [
         {
             "row": row,
+            **({} if own is None else {"element": str(own[row])}),
             "inverted": not bool(q.upright[row]),
             "imr": float(q.inverse_mean_ratio[row]),
             "area": float(q.area[row]),
@@ -244,11 +250,13 @@ def _metrics_table(record: dict[str, Any]) -> Any:
 def _worst_table(record: dict[str, Any]) -> Any:
     """A row for each of the worst triangles."""
     table = console.table(f"worst triangles of {record['file']}")
-    for name in ("row", "IMR", "area", *"xyz"[: len(record["worst"][0]["centroid"])]):
+    numbered = "element" in record["worst"][0]
+    for name in ("row", *["element"] * numbered, "IMR", "area", *"xyz"[: len(record["worst"][0]["centroid"])]):
         table.add_column(name, justify="right")
     table.add_column("")
     for w in record["worst"]:
         centroid = (f"{c:.6g}" for c in w["centroid"])
         mark = "inverted" if w["inverted"] else ""
-        table.add_row(str(w["row"]), console.number(w["imr"]), f"{w['area']:.4g}", *centroid, mark)
+        own = [w["element"]] if numbered else []
+        table.add_row(str(w["row"]), *own, console.number(w["imr"]), f"{w['area']:.4g}", *centroid, mark)
     return table

@@ -20,6 +20,7 @@ from .shared_options import (
     Method,
     MethodOption,
     QuietOption,
+    RegionsOption,
     Scope,
     ScopeOption,
     Shapes,
@@ -32,6 +33,8 @@ from .shared_options import (
 from .targets import check_distinct, check_mesh_target
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from ..files.time_series import Series
     from ..improving.options import ImproveOptions
     from ..improving.report import Report
@@ -65,6 +68,7 @@ def report(
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
     beta: BetaOption = None,
+    regions: RegionsOption = None,
     quiet: QuietOption = False,
 ) -> int:
     """Write a web page that shows a mesh before and after.
@@ -85,7 +89,7 @@ def report(
         raise UsageError(f"{page}: a page's name ends in .html")
     check_distinct(source, target, page)
     check_target(page)
-    given = open_mesh(source)
+    given = open_mesh(source, regions)
     if target.exists():
         shown, after, result, note = _compare(given, target, options, stages, quiet)
     else:
@@ -136,12 +140,29 @@ def _compare(
 
 
 def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:
-    """Whether two meshes have the same triangles at the same positions, up to what a file format may round off."""
+    """Whether two meshes have the same triangles at the same positions, up to what a file format may round off.
+
+    A format may begin a triangle at another corner, and list triangles and vertices in another order.
+    """
+    import numpy as np
+    import torch
+    from scipy.spatial import cKDTree
+
     from ..mesh.batch import lift
 
     if one.triangles.shape != other.triangles.shape or one.points.shape != other.points.shape:
         return False
-    if not bool((one.triangles == other.triangles).all()):
-        return False
     extent = float((one.points.amax(0) - one.points.amin(0)).max())
-    return float((lift(one) - lift(other)).abs().max()) <= _SAME_POSITION * extent
+    here, there = lift(one).double(), lift(other).double()
+    row = torch.arange(len(here))
+    if float((here - there).abs().max()) > _SAME_POSITION * extent:
+        away, nearest = cKDTree(here.numpy()).query(there.numpy())
+        row = torch.from_numpy(nearest)
+        if float(np.max(away)) > 2 * _SAME_POSITION * extent or len(row.unique()) < len(row):
+            return False
+
+    def in_order(triangles: "Tensor") -> "Tensor":
+        turn = (triangles.argmin(1)[:, None] + torch.arange(3)) % 3
+        return torch.unique(triangles.gather(1, turn), dim=0)
+
+    return torch.equal(in_order(one.triangles), in_order(row[other.triangles]))

@@ -174,6 +174,19 @@ FieldsOption = Annotated[
 ]
 
 
+RegionsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--regions",
+        metavar="NAME|none",
+        help="Which cell data (whole numbers) or cell set tells the regions, across whose interfaces no edge flips. "
+        "Default: cell sets, physical groups, blocks, and integers whose name has a word such as material, region, "
+        "domain, zone, block, phase, group, attribute, label or tag; rank, part_id, level, flag and such tell none.",
+        show_default=False,
+    ),
+]
+
+
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
 
 

@@ -14,7 +14,7 @@ import typer
 from . import console
 from .errors import UsageError
 from .motion_options import Follower, Motion
-from .shared_options import InArgument, QuietOption, StrictOption, ThreadsOption, use_threads
+from .shared_options import InArgument, QuietOption, RegionsOption, StrictOption, ThreadsOption, use_threads
 from .targets import check_mesh_target
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ def warp(
     improve_too: ImproveOption = False,
     steps: StepsOption = None,
     rigid: RigidOption = None,
+    regions: RegionsOption = None,
     strict: StrictOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
@@ -125,7 +126,7 @@ def warp(
 
     from ..batches.file_improvement import open_mesh
 
-    given = open_mesh(source)
+    given = open_mesh(source, regions)
     boundary = motion.apply(given.sources[0])
     if steps is not None:
         return _deform(given, boundary, steps, target, strict, quiet, followers)

@@ -10,7 +10,7 @@ from ..mesh.batch import MeshBatch, lift
 from .content import Content
 from .correspondence import Correspondence
 from .field_transfer import FieldTransfer, is_floating, is_motion
-from .fields import is_numbering, on_triangles, region_names
+from .fields import is_numbering, on_triangles
 from .source import default_fixed
 
 
@@ -44,12 +44,17 @@ def carried(mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None =
         dropped.append(f"{lost} cells whose vertices are gone")
     result = meshio.Mesh(_positions(mesh, old), [meshio.CellBlock(b.type, b.data) for b in blocks])
     dropped = _carry_cell_data(old, fields, blocks, result) + dropped
-    ends = np.cumsum([0] + [len(b.data) for b in file.cells])
     for name in sets:
-        member = np.zeros(ends[-1], bool)
-        for start, rows in zip(ends[:-1], file.cell_sets[name], strict=True):
-            member[start + rows] = True
-        result.cell_sets[name] = [np.flatnonzero(member[b.origin]) for b in blocks]
+        flags = [np.isin(np.arange(len(b.data)), m) for b, m in zip(file.cells, file.cell_sets[name], strict=True)]
+        member, made = np.concatenate([np.zeros(0, bool), *flags]), None
+        if old.changed and name not in old.source.content.told_by.sets:
+            if fields is None or fields.drops:
+                dropped.append(f"cell set {name!r}")
+                continue
+            made = fields.in_triangles(name, on_triangles(file, flags)[old.source.content.first])
+        result.cell_sets[name] = [
+            np.flatnonzero(member[b.origin] if made is None or b.triangle is None else made[b.triangle]) for b in blocks
+        ]
     dropped += _carry_point_data(old, fields, result)
     _mark_fixed(mesh, old, result)
     result.field_data, result.info = file.field_data, file.info
@@ -63,7 +68,7 @@ def _carry_cell_data(
 ) -> list[str]:
     """Gives `result` the cell data; returns names for what has no values in the new triangles."""
     content, dropped = old.source.content, []
-    regions = region_names(content.mesh)
+    regions = content.told_by.data
     for name, given in content.mesh.cell_data.items():
         values, made = np.concatenate(given), None
         on_rows = on_triangles(content.mesh, given)
@@ -82,14 +87,14 @@ def _carry_cell_data(
     return dropped
 
 
-def _is_transferred(fields: FieldTransfer | None, name: str, values: np.ndarray, regions: list[str]) -> bool:
+def _is_transferred(fields: FieldTransfer | None, name: str, values: np.ndarray, regions: tuple[str, ...]) -> bool:
     """Is cell data a property of the place?  Region tags follow the interfaces, and numbers of cells their rows."""
     if fields is None or fields.unchanged or name in regions:
         return False
     return is_floating(values) or not (fields.drops or is_numbering(values))
 
 
-def _survives(old: Correspondence, name: str, values: np.ndarray, regions: list[str]) -> bool:
+def _survives(old: Correspondence, name: str, values: np.ndarray, regions: tuple[str, ...]) -> bool:
     """Does cell data, whose rows of triangles are `values`, hold for changed triangles?
 
     Region tags do, if the regions can be told; so do the numbers of the rows, if the rows are the same.

@@ -7,7 +7,7 @@ import meshio
 import numpy as np
 
 from ..errors import InvalidMeshError
-from .fields import REGION_TAGS, triangle_regions
+from .fields import REGION_TAGS, Regions, triangle_regions
 from .formats.format import Document
 
 _LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "pixel")
@@ -29,6 +29,7 @@ class Content:
     pinned       (V,) bool, vertices of cells that must not change shape
     elsewhere    (V,) bool, vertices of any cells that are not triangles
     sides        named groups of edges (K, 2) to which the file refers as sides of elements
+    told_by      what of the file tells the regions
     """
 
     mesh: meshio.Mesh
@@ -40,17 +41,27 @@ class Content:
     pinned: np.ndarray
     elsewhere: np.ndarray
     sides: dict[str, np.ndarray]
+    told_by: Regions
 
     @classmethod
-    def of(cls, document: Document, path: Path) -> "Content":
-        """Raises InvalidMeshError, naming `path`, for cells that cannot be dealt with."""
+    def of(cls, document: Document, path: Path, regions: str | None = None) -> "Content":
+        """Raises InvalidMeshError, naming `path`, for cells that cannot be dealt with.
+
+        regions  what tells the regions, as for `Regions.of`
+        """
         mesh = checked(document.mesh, path)
+        try:
+            told_by = Regions.of(mesh, regions)
+        except ValueError as error:
+            raise InvalidMeshError(f"{path}: {error}") from None
+        # The mesh that is written instead takes it over, as it does all attributes that meshio's type does not declare.
+        mesh.told_by = told_by.data
         rows = np.concatenate([b.data for b in mesh.cells if b.type == "triangle"]).astype(np.int64)
         first = triangle = np.arange(len(rows))
         if document.repeats_triangles:
             first, triangle = merged_rows(rows)
         faces = rows[first]
-        region = triangle_regions(mesh, triangle, len(first))
+        region = triangle_regions(mesh, triangle, len(first), told_by)
         none = np.zeros((0, 2), np.int64)
         lines = np.concatenate([none, *(b.data for b in mesh.cells if b.type == "line" and len(b.data))])
         on_edge = np.isin(_keys(lines, len(mesh.points)), _keys(_edges(faces), len(mesh.points)))
@@ -58,7 +69,22 @@ class Content:
         kept = np.concatenate([_interfaces(faces, region), lines[on_edge], _shared(sides, faces)])
         constrained = np.unique(np.sort(kept, 1), axis=0)
         pinned, elsewhere = _pinned(mesh, faces, lines[~on_edge])
-        return cls(mesh, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides)
+        return cls(mesh, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides, told_by)
+
+    @property
+    def bound_by_regions(self) -> str:
+        """In words, the interfaces whose edges no flip may remove; empty where there are none."""
+        if not len(np.unique(self.region)) > 1:
+            return ""
+        return f"interfaces between regions by {self.told_by}; --regions NAME|none chooses"
+
+    @property
+    def bound_by_lines(self) -> bool:
+        """Are there constrained edges that lie between no two regions: lines, or sides to which the file refers?"""
+        faces = self.rows[self.first]
+        count = len(self.mesh.points)
+        between = _keys(_interfaces(faces, self.region), count)
+        return bool((~np.isin(_keys(self.constrained, count), between)).any())
 
     @property
     def seams(self) -> np.ndarray:

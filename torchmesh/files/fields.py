@@ -1,5 +1,8 @@
 """Decides what the data of a file means: which cell data tells the regions, and which numbers the cells."""
 
+import re
+from dataclasses import dataclass
+
 import meshio
 import numpy as np
 
@@ -12,22 +15,102 @@ REGION_TAGS = (
 )  # fmt: skip
 
 
+# Words in the names of cell data that tells regions, in any spelling (`material_id`, `MaterialID`, `Mat Id`).
+_REGION_WORDS = frozenset((
+    "material", "materials", "mat", "mats", "region", "regions", "domain",
+    "domains", "subdomain", "subdomains", "zone", "zones", "block", "blocks", "physical",
+    "phase", "phases", "group", "groups", "entity", "entities", "entityid", "entityids", "attribute",
+    "attributes", "marker", "markers", "label", "labels", "tag", "tags", "ref", "refs", "reference", "property",
+    "properties", "pid", "section", "sections", "tissue", "tissues", "medium", "media", "elset", "elsets", "soil",
+    "soils", "family", "families", "facies", "lithology",
+))  # fmt: skip
+# Words of what repeats and is no region, whatever else the name has.
+_NO_REGION_WORDS = frozenset((
+    "rank", "ranks", "mpi", "proc", "procs", "process", "processor", "processors", "partition", "partitions",
+    "part", "parts", "level", "levels", "flag", "flags", "ghost", "ghosts", "owner", "owners", "thread",
+    "threads", "colour", "color", "refine", "refined", "refinement", "refinements", "coarsen", "error", "quality",
+    "visited", "valid", "valence", "count", "counts",
+))  # fmt: skip
+# What FEniCS and its tutorials call tags of cells.
+_FENICS = ("f", "name_to_read")
+_SUFFIX = re.compile(r"(?<=[a-z]{3})(ids?|nos?|numbers?|nums?|index)$")
+_WORD = re.compile(r"(?<=[a-z0-9])([A-Z])")
+
+# More cell sets than this are counted, and not named, in a message.
+_SETS_NAMED = 4
+
+
 def region_tag(mesh: meshio.Mesh) -> str | None:
     """The integer cell data that is written as the regions where a format has room for one."""
-    whole = [name for name, v in mesh.cell_data.items() if all(b.dtype.kind in "iub" and b.ndim == 1 for b in v)]
+    chosen = getattr(mesh, "told_by", None)
+    told = Regions.of(mesh).data if chosen is None else chosen
+    whole = [
+        name
+        for name, v in mesh.cell_data.items()
+        if name in told and all(b.dtype.kind in "iub" and b.ndim == 1 for b in v)
+    ]
     return next((name for name in REGION_TAGS if name in whole), whole[0] if whole else None)
 
 
-def region_names(mesh: meshio.Mesh) -> list[str]:
-    """All cell data that tells regions; the docstring of `mesh_files.read` states the rule."""
-    names = []
-    for name, blocks in mesh.cell_data.items():
-        values = on_triangles(mesh, blocks)
-        if values.dtype.kind in "iub" and values.ndim == 1:
-            known = name in REGION_TAGS
-            if known or 2 * len(np.unique(values)) <= len(values):
-                names.append(name)
-    return names
+@dataclass(frozen=True)
+class Regions:
+    """What of a file tells the regions of its triangles; the docstring of `mesh_files.read` states the rule.
+
+    data    the names of cell data that tells regions
+    sets    the names of cell sets that do
+    others  the names of integer cell data that might tell regions, but has a name that means something else
+    """
+
+    data: tuple[str, ...] = ()
+    sets: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, mesh: meshio.Mesh, choice: str | None = None) -> "Regions":
+        """The regions by the rule (None), none ("none"), or those that one cell data or set tells, by its name.
+
+        Raises ValueError for a name that does not exist or tells no regions.
+        """
+        taken, others = [], []
+        for name, blocks in mesh.cell_data.items():
+            values = on_triangles(mesh, blocks)
+            if values.dtype.kind not in "iub" or values.ndim != 1:
+                continue
+            found = len(np.unique(values))
+            if name in REGION_TAGS or (means_regions(name) and 2 * found <= len(values)):
+                taken.append(name)
+            elif 1 < found <= len(values) // 2:
+                others.append(name)
+        if choice is None:
+            return cls(tuple(taken), tuple(mesh.cell_sets), tuple(others))
+        if choice == "none":
+            return cls(others=(*taken, *others))
+        if choice in mesh.cell_data:
+            values = on_triangles(mesh, mesh.cell_data[choice])
+            if values.ndim != 1 or values.dtype.kind not in "iubf" or (values != np.round(values)).any():
+                raise ValueError(f"cell data {choice!r} tells no regions: it is not one whole number for each cell")
+            return cls((choice,), others=tuple(name for name in (*taken, *others) if name != choice))
+        if choice in mesh.cell_sets:
+            return cls(sets=(choice,), others=(*taken, *others))
+        known = [*mesh.cell_data, *mesh.cell_sets]
+        raise ValueError(
+            f"there is no cell data or cell set {choice!r} to tell regions; "
+            + (f"it has {', '.join(map(repr, known))}" if known else "it has none")
+        )
+
+    def __str__(self) -> str:
+        """What tells the regions, in words; empty where nothing does."""
+        sets = " and ".join(map(repr, self.sets)) if len(self.sets) <= _SETS_NAMED else ""
+        parts = [f"cell data {' and '.join(map(repr, self.data))}"] if self.data else []
+        parts += [f"cell set{'s' * (len(self.sets) > 1)} {sets}" if sets else f"{len(self.sets)} cell sets"]
+        return " and ".join(parts if self.sets else parts[:-1])
+
+
+def means_regions(name: str) -> bool:
+    """Is this a name that people give to materials, groups or blocks, and not to parts of a computation?"""
+    words = set(_WORD.sub(r" \1", name).replace("_", " ").lower().split())
+    words = {_SUFFIX.sub("", part) for word in words for part in re.split(r"[^a-z]+", word) if part}
+    return name in _FENICS or (not words & _NO_REGION_WORDS and bool(words & _REGION_WORDS))
 
 
 def is_numbering(values: np.ndarray) -> bool:
@@ -40,14 +123,14 @@ def on_triangles(mesh: meshio.Mesh, values: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([v for b, v in zip(mesh.cells, values, strict=True) if b.type == "triangle"])
 
 
-def triangle_regions(mesh: meshio.Mesh, triangle: np.ndarray, count: int) -> np.ndarray:
-    """(count,) a number for each triangle, the same for those that agree in all region tags and cell sets.
+def triangle_regions(mesh: meshio.Mesh, triangle: np.ndarray, count: int, told: Regions) -> np.ndarray:
+    """(count,) a number for each triangle, the same for those that agree in all that tells regions.
 
     triangle  (R,) the triangle that each triangle row of the file belongs to; a triangle with several rows is in
               the regions of all of them
     """
-    columns = [on_triangles(mesh, mesh.cell_data[name]) for name in region_names(mesh)]
-    for members in mesh.cell_sets.values():
+    columns = [on_triangles(mesh, mesh.cell_data[name]) for name in told.data]
+    for members in (mesh.cell_sets[name] for name in told.sets):
         flags = [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, members, strict=True)]
         columns.append(on_triangles(mesh, flags))
     code = np.zeros(len(triangle), np.int64)

@@ -29,7 +29,7 @@ from .messages import warn
 from .source import Source, as_path, default_fixed
 
 
-def read(path: str | os.PathLike[str]) -> MeshBatch:
+def read(path: str | os.PathLike[str], *, regions: str | None = None) -> MeshBatch:
     """The triangles of a mesh file, as a batch of one.
 
     The format follows the extension (`formats.registry`).  Points may lie in any plane.
@@ -39,15 +39,17 @@ def read(path: str | os.PathLike[str]) -> MeshBatch:
     constrained_edges  edges between triangles of different regions, and line cells inside the mesh; their ends are
                        not `fixed`, but what moves vertices holds them unless it is told otherwise
 
-    Regions are told by cell sets, and by cell data of integers with one component.  Under a name that means regions
-    (`fields.REGION_TAGS`) such data always tells regions; under another name it does when it has at most half as many
-    values as there are triangles, because a number for every cell is an identity and no region.  Fields of floats
-    never tell regions.
+    regions  None: regions are told by cell sets, and by cell data of integers with one component whose name means
+             regions: those of `fields.REGION_TAGS` (physical groups, blocks, materials), and names with a word such as
+             material, region, domain, zone, block, phase, group, attribute, label, tag or property, if there are at
+             most half as many values as triangles.  Other data that repeats (rank, part_id, level, flag) tells none,
+             and neither do fields of floats.  "none": nothing does.  Otherwise the name of the one cell data (of
+             whole numbers) or cell set that does
 
     Raises MeshIOError (the file), InvalidMeshError (the mesh in it; both name the file), and MissingDependencyError
     (a package for the format).  A MeshWarning tells of each repair.
     """
-    return Source.open(path).mesh
+    return Source.open(path, regions).mesh
 
 
 def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:

@@ -1,7 +1,10 @@
 """A mesh file that was read: its content, and the batch of one mesh that is made of it."""
 
+import contextlib
 import os
+import re
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +20,10 @@ from .content import Content
 from .documents import load
 from .formats.format import Document
 from .messages import in_one_line, warn
+from .own_numbers import with_own_numbers
+
+# Words of messages that speak of constrained edges.
+_CONSTRAINED = re.compile(r"constrained edges? \[|its interfaces are held")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +42,26 @@ class Source:
     mesh: MeshBatch
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> "Source":
-        """Raises and warns as `read` does."""
+    def open(cls, path: str | os.PathLike[str], regions: str | None = None) -> "Source":
+        """Raises and warns as `read` does; `regions` is as for `read`, too."""
         path = as_path(path)
-        return cls.of(load(path), path)
+        return cls.of(load(path), path, regions)
 
     @classmethod
-    def of(cls, document: Document, path: Path) -> "Source":
+    def of(cls, document: Document, path: Path, regions: str | None = None) -> "Source":
         """Raises InvalidMeshError and MeshIOError and warns as `read` does."""
-        with in_one_line(path):
-            content = Content.of(document, path)
+        with in_one_line(path), _own_numbers_told(document):
+            content = Content.of(document, path, regions)
             return cls(path, document, content, _batch(content, path))
+
+    def explained(self, text: str) -> str:
+        """A message about the mesh: rows also as the file's own numbers, constrained edges by what they come from."""
+        more = ""
+        if _CONSTRAINED.search(text):
+            lines = "lines of the file" if self.content.bound_by_lines else ""
+            origin = " and ".join(filter(None, [self.content.bound_by_regions, lines]))
+            more = f" (constrained edges are {origin})" if origin else ""
+        return with_own_numbers(text, self.document) + more
 
     @cached_property
     def quads(self) -> torch.Tensor:
@@ -61,6 +77,15 @@ class Source:
         """
         there = self.mesh.points if points is None else points
         return inverted_quads(there, self.quads).nonzero().squeeze(1)
+
+
+@contextlib.contextmanager
+def _own_numbers_told(document: Document) -> Iterator[None]:
+    """Inside, an InvalidMeshError that names rows also gives the file's own numbers of them."""
+    try:
+        yield
+    except InvalidMeshError as error:
+        raise InvalidMeshError(with_own_numbers(str(error), document)) from None
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:

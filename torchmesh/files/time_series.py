@@ -60,17 +60,17 @@ class Series:
         return len(self.times)
 
 
-def read_series(path: str | os.PathLike[str]) -> Series:
+def read_series(path: str | os.PathLike[str], *, regions: str | None = None) -> Series:
     """The steps of an XDMF time series; any other mesh file is a series of one step at time 0.
 
     Regions, lines and fixed vertices are found for each step as by `read`.  Steps whose vertices, triangles, fixed
-    vertices and constrained edges agree share one mesh.
+    vertices and constrained edges agree share one mesh.  `regions` is as for `read`.
 
     Raises MeshIOError, InvalidMeshError and MissingDependencyError as `read` does, and names the step.
     """
     path = Path(path)
     if not is_series(path):
-        source = Source.open(path)
+        source = Source.open(path, regions)
         return Series(source.mesh, [0.0], [0], [source])
     steps = _xdmf_steps(path)
     sources: list[Source] = []
@@ -79,7 +79,7 @@ def read_series(path: str | os.PathLike[str]) -> Series:
     mesh_of_step = []
     for step, (_, mesh) in enumerate(steps):
         try:
-            source = Source.of(Document(mesh, XDMF.name), path)
+            source = Source.of(Document(mesh, XDMF.name), path, regions)
         except InvalidMeshError as error:
             raise InvalidMeshError(f"step {step} of {error}") from None
         m = source.mesh

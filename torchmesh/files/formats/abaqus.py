@@ -48,7 +48,10 @@ class AbaqusFormat(DeckFormat):
         mesh, deck = reader.mesh(), reader.deck()
         by_element = tuple(dict.fromkeys(reader.by_element))
         at_nodes = reader.at_nodes()
-        return Document(mesh, self.name, rest=deck, sides=reader.sides, by_element=by_element, at_nodes=at_nodes)
+        return Document(
+            mesh, self.name, rest=deck, sides=reader.sides, by_element=by_element, at_nodes=at_nodes,
+            node_numbers=reader.labels, cell_numbers=reader.numbers(),
+        )  # fmt: skip
 
     def number(self, value: float, width: int) -> str:
         digits = (f"{value:.{n}g}" for n in range(16, 0, -1))
@@ -123,6 +126,13 @@ class _Reader:
         corners = np.array(self.corners, np.int64).reshape(-1, 3, 4)
         points = np.array(self.points, np.int64).reshape(-1, 3, 4)
         return Deck(self.lines, points, corners, self.labels, self.side_lines, list(others), ", ")
+
+    def numbers(self) -> dict[str, list[int]]:
+        """The numbers of elements by kind, in the order of blocks and rows, after `mesh`."""
+        found: dict[str, list[int]] = {}
+        for (_, number), element in sorted(self.elements.items(), key=lambda e: (e[1].block, e[1].position)):
+            found.setdefault(self.blocks[element.block][0], []).append(number)
+        return found
 
     def at_nodes(self) -> dict[str, np.ndarray]:
         """The nodes with values that the deck keeps to the letter, after `mesh`."""

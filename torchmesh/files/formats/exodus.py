@@ -81,7 +81,12 @@ class ExodusFormat(MeshioFormat):
             _read_results(data, mesh, file)
             by_element = [f"attributes of block {n}" for n in file.blocks if _varies(data, f"attrib{n}")]
             at_nodes = _values_of_node_sets(data)
-        return Document(mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element), at_nodes=at_nodes)
+            node_numbers = _numbers(data, ("node_num_map", "node_map"), len(mesh.points))
+            elements = _numbers(data, ("elem_num_map", "elem_map"), _size(data, "num_elem"))
+        return Document(
+            mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element), at_nodes=at_nodes,
+            node_numbers=node_numbers, cell_numbers={"triangle": elements[file.triangles]},
+        )  # fmt: skip
 
     def patches(self, document: Document) -> bool:
         return isinstance(document.rest, ExodusFile)
@@ -129,6 +134,14 @@ def _names(data: Any, variable: str, count: int, else_: str) -> list[str]:
 
 def _ids(data: Any, variable: str, count: int) -> list[int]:
     return [int(n) for n in data.variables[variable][:]] if variable in data.variables else list(range(1, count + 1))
+
+
+def _numbers(data: Any, names: tuple[str, ...], count: int) -> np.ndarray:
+    """(count,) the numbers of nodes or elements: those of the first variable that is there, else from 1 on."""
+    for name in names:
+        if name in data.variables and data.variables[name].size == count:
+            return np.array(data.variables[name][:], np.int64)
+    return np.arange(1, count + 1)
 
 
 def _size(data: Any, dimension: str) -> int:

@@ -2,6 +2,7 @@
 
 import abc
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ class Document:
     at_nodes           rows of nodes whose values stay to the letter when the file is changed in place, by the name of
                        what gives them; only values that need not be right where the nodes move
     skipped            names for what of the file was not read
+    node_numbers       (V,) what the file calls its nodes, by row; None where it has no numbers of its own
+    cell_numbers       what it calls its cells, by their type and in file order; empty where it has no numbers
     """
 
     mesh: meshio.Mesh
@@ -47,6 +50,8 @@ class Document:
     by_element: tuple[str, ...] = ()
     at_nodes: dict[str, np.ndarray] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
+    node_numbers: Sequence[Any] | np.ndarray | None = None
+    cell_numbers: Mapping[str, Sequence[Any] | np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

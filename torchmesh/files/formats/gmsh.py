@@ -14,6 +14,7 @@ others are put into the group 0, so that meshio reads what is written.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -21,7 +22,7 @@ import numpy as np
 from ..fields import REGION_TAGS, region_tag
 from . import gmsh_read, gmsh_write
 from .format import ALL_BUT_POLYGONS, Document, Format
-from .gmsh_file import DATA_SECTIONS, MshFile, data_head, data_name
+from .gmsh_file import DATA_SECTIONS, KINDS, MshFile, data_head, data_name
 from .gmsh_new import new_file
 
 # The sections that are parsed and built anew.
@@ -38,7 +39,7 @@ class GmshFormat(Format):
         corners = any(name == "ElementNodeData" for name, _ in file.sections)
         return Document(
             mesh, self.name, file.binary, file, repeats_triangles=file.version == "2.2", tied=tied,
-            by_element=("$ElementNodeData",) if corners else (),
+            by_element=("$ElementNodeData",) if corners else (), **_own_numbers(file),
         )  # fmt: skip
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
@@ -97,3 +98,14 @@ def _version(mesh: meshio.Mesh) -> str:
 
 
 GMSH = GmshFormat("gmsh", (".msh",), ALL_BUT_POLYGONS, field_data=True)
+
+
+def _own_numbers(file: MshFile) -> dict[str, Any]:
+    """What Gmsh calls the nodes and elements, as `Document` has it."""
+    cells: dict[str, list[np.ndarray]] = {}
+    for block in file.elements:
+        cells.setdefault(KINDS[block.kind][0], []).append(block.numbers)
+    return {
+        "node_numbers": np.concatenate([np.zeros(0, np.int64), *(block.numbers for block in file.nodes)]),
+        "cell_numbers": {kind: np.concatenate(numbers) for kind, numbers in cells.items()},
+    }

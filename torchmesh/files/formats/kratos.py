@@ -43,8 +43,9 @@ class KratosFormat(DeckFormat):
         several = sum(kind == "triangle" and name != "Elements" for name, kind in reader.blocks) > 0
         at_nodes = reader.values.rows(len(reader.nodes))
         return Document(
-            mesh, self.name, rest=deck, repeats_triangles=several, by_element=tuple(by_element), at_nodes=at_nodes
-        )
+            mesh, self.name, rest=deck, repeats_triangles=several, by_element=tuple(by_element), at_nodes=at_nodes,
+            node_numbers=reader.labels, cell_numbers=reader.numbers(),
+        )  # fmt: skip
 
     def number(self, value: float, width: int) -> str:
         return repr(value)
@@ -180,6 +181,16 @@ class _Reader:
         for name, members in sets.items():
             mesh.cell_sets[name] = [np.unique(np.array(m, np.int64)) for m in members]
         return mesh
+
+    def numbers(self) -> dict[str, list[str]]:
+        """The numbers of entities by cell type, in the order of blocks and rows."""
+        by_block: dict[tuple[str, str], list[str]] = {key: [] for key in self.blocks}
+        for (_, label), (key, _row) in self.where.items():
+            by_block[key].append(label)
+        found: dict[str, list[str]] = {}
+        for (_, kind), labels in by_block.items():
+            found.setdefault(kind, []).extend(labels)
+        return found
 
     def by_element(self) -> list[str]:
         """The values that nearly each element has its own of."""

@@ -64,7 +64,10 @@ class NastranFormat(DeckFormat):
         deck = Deck(reader.lines, points, corners, reader.labels, reader.side_lines, cards, ",")
         sides = side_groups(reader.side_lines, triangles_of(mesh))
         by_element, at_nodes = tuple(reader.by_element), reader.values.rows(len(reader.nodes))
-        return Document(mesh, self.name, rest=deck, sides=sides, by_element=by_element, at_nodes=at_nodes)
+        return Document(
+            mesh, self.name, rest=deck, sides=sides, by_element=by_element, at_nodes=at_nodes,
+            node_numbers=reader.labels, cell_numbers=reader.numbers(),
+        )  # fmt: skip
 
     def number(self, value: float, width: int) -> str:
         # Solvers cut numbers in free fields to sixteen characters at most.
@@ -121,6 +124,13 @@ class _Reader:
             self._read_side(entry, mesh)
             self._read_values(entry)
         return mesh
+
+    def numbers(self) -> dict[str, list[int]]:
+        """The numbers of elements by kind, after `mesh`."""
+        found: dict[str, list[int]] = {}
+        for number, (kind, _) in self.where.items():
+            found.setdefault(kind, []).append(number)
+        return found
 
     def _bulk(self) -> tuple[int, int]:
         """The lines that the bulk data begins at and ends before; a deck without BEGIN BULK is bulk data alone."""

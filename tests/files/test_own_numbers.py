@@ -1,0 +1,111 @@
+"""Rows in messages are also given as the file's own numbers."""
+
+import meshes
+import meshio
+import numpy as np
+import pytest
+
+from torchmesh.errors import InvalidMeshError
+from torchmesh.files.formats.format import Document
+from torchmesh.files.own_numbers import triangle_numbers, with_own_numbers
+from torchmesh.files.source import Source
+
+# Numbers far from rows, in another order than rows.
+NODES = [700, 30, 900, 10]
+
+MSH = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$Nodes
+1 4 10 900
+2 1 0 4
+700
+30
+900
+10
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+$EndNodes
+$Elements
+1 2 41 77
+2 1 2 2
+77 700 30 900
+41 700 900 10
+$EndElements
+"""
+BDF = "BEGIN BULK\n" + "".join(
+    f"GRID,{n},,{x},{y},0.\n" for n, (x, y) in zip(NODES, [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], strict=True)
+)  # fmt: skip
+BDF += "CTRIA3,77,1,700,30,900\nCTRIA3,41,1,700,900,10\nENDDATA\n"
+INP = (
+    "*NODE\n700, 0., 0.\n30, 1., 0.\n900, 1., 1.\n10, 0., 1.\n*ELEMENT, TYPE=CPS3\n77, 700, 30, 900\n41, 700, 900, 10\n"
+)
+MDPA = """Begin Nodes
+700 0 0 0
+30 1 0 0
+900 1 1 0
+10 0 1 0
+End Nodes
+Begin Elements Element2D3N
+77 0 700 30 900
+41 0 700 900 10
+End Elements
+"""
+
+
+def document(**numbers) -> Document:
+    points, triangles = meshes.grid_arrays(1, 1)
+    return Document(meshio.Mesh(points, [("triangle", triangles)]), "any", **numbers)
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.msh", MSH), ("a.bdf", BDF), ("a.inp", INP), ("a.mdpa", MDPA)])
+def test_formats_with_numbers_of_their_own(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    source = Source.open(tmp_path / name)
+    assert [int(n) for n in source.document.node_numbers] == NODES
+    assert [int(n) for n in triangle_numbers(source.document)] == [77, 41]
+    said = source.explained("the boundary edge [0, 3] and the vertex 1 meet; triangles row 1 [0, 2, 3] is flat")
+    assert said.endswith("(in the file: nodes 700, 10, 30, 900; element 41)")
+
+
+def test_a_file_that_cannot_be_taken_says_which_element_it_is(tmp_path):
+    (tmp_path / "a.bdf").write_text(BDF.replace("700,900,10", "700,900,900"))
+    with pytest.raises(InvalidMeshError, match=r"triangles row 1 is .*element 41\)"):
+        Source.open(tmp_path / "a.bdf")
+
+
+def test_exodus_has_maps_of_numbers(tmp_path):
+    netcdf = pytest.importorskip("netCDF4")
+    points, triangles = meshes.grid_arrays(1, 1)
+    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("triangle", triangles)]).write(tmp_path / "a.e")
+    assert list(Source.open(tmp_path / "a.e").document.node_numbers) == [1, 2, 3, 4]
+    with netcdf.Dataset(str(tmp_path / "a.e"), "r+") as data:
+        for name, size, numbers in (("node_num_map", "num_nodes", NODES), ("elem_num_map", "num_elem", [77, 41])):
+            data.createVariable(name, "i4", (size,))[:] = numbers
+    source = Source.open(tmp_path / "a.e")
+    assert list(source.document.node_numbers) == NODES
+    assert list(triangle_numbers(source.document)) == [77, 41]
+
+
+def test_a_triangle_that_the_file_lists_for_each_of_its_groups_has_its_first_number(tmp_path):
+    old = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n" + "".join(
+        f"{n} {x} {y} 0\n" for n, (x, y) in zip(NODES, [(0, 0), (1, 0), (1, 1), (0, 1)], strict=True)
+    )
+    old += "$EndNodes\n$Elements\n3\n5 2 2 1 1 700 30 900\n6 2 2 2 1 900 700 30\n7 2 2 1 1 700 900 10\n$EndElements\n"
+    (tmp_path / "a.msh").write_text(old)
+    assert list(triangle_numbers(Source.open(tmp_path / "a.msh").document)) == [5, 7]
+
+
+def test_many_numbers_are_cut_and_none_are_made_up():
+    given = document(node_numbers=[10, 20, 30, 40], cell_numbers={"triangle": [8, 9]})
+    assert with_own_numbers("120 inverted triangles are left at (0.5, 1)", given) == (
+        "120 inverted triangles are left at (0.5, 1)"
+    )
+    assert with_own_numbers("vertices 0 and 99", given).endswith("(in the file: node 10)")
+    assert with_own_numbers("triangles rows 0, 1 and 7 share", given).endswith("(in the file: elements 8, 9)")
+    assert with_own_numbers("points row 2 is [0.0, 1.0]", given).endswith("(in the file: node 30)")
+    assert with_own_numbers("vertex 1", document()) == "vertex 1"
+    many = document(node_numbers=range(100, 200))
+    assert with_own_numbers(f"the cavity {list(range(20))}", many).endswith("110, 111 and 8 more)")
