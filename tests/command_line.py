@@ -81,6 +81,11 @@ def write_examples(folder: Path) -> None:
     write(folder / "stretched.vtu", tangled.with_points(tangled.points * tangled.points.new_tensor([4.0, 1.0])))
     write(folder / "regions.msh", meshes.dragged_interface())
     write(folder / "better.vtu", meshes.equilateral())
+    bed = meshes.moved_hole()
+    heights = np.sin(3 * bed.points[:, :1].numpy())
+    meshio.Mesh(np.hstack([bed.points.numpy(), heights]), [("triangle", bed.triangles.numpy())]).write(
+        folder / "terrain.vtk"
+    )
     write(folder / "scanned.stl", meshes.jittered())
     points, triangles = meshes.grid_arrays(4, 4)
     soup = np.pad(points[triangles].reshape(-1, 2), ((0, 0), (0, 1)))

@@ -111,7 +111,12 @@ def broken(tmp_path: Path, case: str) -> Path:
         path = tmp_path / ("bad.xyz" if case == "extension" else "bad")
         path.write_text("1 2 3")
     elif case in ("nan", "off the plane"):
-        points[7, 1 if case == "nan" else 2] = np.nan if case == "nan" else 1
+        if case == "nan":
+            points[7, 1] = np.nan
+        else:
+            x = points[:, 0] - points[:, 0].mean()
+            turn = 5 * x / np.ptp(x)
+            points[:, 0], points[:, 2] = np.sin(turn), np.cos(turn)  # an arch that bends in again at both feet
         save(path, meshio.Mesh(points, [("triangle", faces)]))
     else:
         kind = {"quads": "quad", "tetrahedra": "tetra", "second order": "triangle6", "no cells": "line"}[case]
@@ -131,7 +136,7 @@ def broken(tmp_path: Path, case: str) -> Path:
         ("extension", MeshIOError, r"extension '\.xyz' is not known; known ones are \.vtu \.vtk \.msh"),
         ("no extension", MeshIOError, "no extension"),
         ("nan", InvalidMeshError, "points row 7 .*finite"),
-        ("off the plane", InvalidMeshError, "points row .* off the plane"),
+        ("off the plane", InvalidMeshError, "points row .* off the plane.*no map of a plane: it bends over at"),
         ("quads", InvalidMeshError, "no triangles: it has quad cells only"),
         ("no cells", InvalidMeshError, "no triangles: it has line cells only"),
         ("tetrahedra", InvalidMeshError, "tetra cells; only planar"),

@@ -18,6 +18,7 @@ import torch
 from ..files.field_transfer import FieldChoice, FieldSummary, check_choice
 from ..files.mesh_files import held
 from ..files.source import Source
+from ..files.surface import HeightChoice, check_height
 from ..files.time_series import Series, SeriesDraft, draft_series
 from ..improving.options import ImproveOptions
 from ..improving.pipeline import improve
@@ -49,6 +50,7 @@ class ImprovedFile:
     report       the report of `improve` on the whole batch
     vertex_maps  (M,) where the vertices of each mesh come from; None where vertices keep number and order
     fields       what `write` does with the fields of the file
+    height       what it does with the heights of a surface
     """
 
     given: Series
@@ -58,6 +60,7 @@ class ImprovedFile:
     report: Report
     vertex_maps: list[VertexMap] | None
     fields: FieldChoice = "interpolate"
+    height: HeightChoice = "interpolate"
 
     def inverted_quads(self) -> int:
         """How many quads of the file, in all its meshes, have a corner that is not upright."""
@@ -79,7 +82,9 @@ class ImprovedFile:
         Fields are transferred from the meshes that were improved: what ride they had up to these is not undone.
         `report.lost` then names, for the meshes of this file, what the file will not hold.
         """
-        made = draft_series(path, join(self.meshes), self.given, self.vertex_maps, fields=self.fields)
+        made = draft_series(
+            path, join(self.meshes), self.given, self.vertex_maps, fields=self.fields, height=self.height
+        )
         for b in range(self.rows.start, self.rows.stop):
             self.report.lost[b] = made.lost
         return made
@@ -100,6 +105,7 @@ def improve_series(
     options: ImproveOptions,
     *,
     fields: FieldChoice = "interpolate",
+    height: HeightChoice = "interpolate",
     progress: Callable[[Progress], None] | None = None,
     observe: Callable[[str, MeshBatch], None] | None = None,
 ) -> list[ImprovedFile]:
@@ -107,13 +113,15 @@ def improve_series(
 
     files     the meshes to improve are each file's `batch`, whose points may differ from those in the file;
               all batches have one dtype
-    fields    what becomes of the fields of the files: see `write`
+    fields    what becomes of the fields of the files, and
+    height    of the heights of surfaces: see `write`
     options   as for `improve`; under boundary="slide" those vertices are held that `held` names for each file
     progress, observe  as for `improve`
 
-    Raises as `improve` does; ValueError for unknown `fields`.
+    Raises as `improve` does; ValueError for unknown `fields` or `height`.
     """
     check_choice(fields)
+    check_height(height)
     batch = join([file.batch for file in files])
     before = quality(batch)
     hold = torch.cat([_held(file) for file in files]) if options.slides else None
@@ -127,7 +135,7 @@ def improve_series(
         rows = slice(first, first + len(file.batch))
         first = rows.stop
         own = None if maps is None else maps[rows]
-        improved.append(ImprovedFile(file, meshes[rows], rows, before, report, own, fields))
+        improved.append(ImprovedFile(file, meshes[rows], rows, before, report, own, fields, height))
     return improved
 
 

@@ -19,6 +19,8 @@ from .shared_options import (
     BoundaryOption,
     Fields,
     FieldsOption,
+    Height,
+    HeightOption,
     InArgument,
     InterfacesOption,
     Method,
@@ -58,6 +60,7 @@ EXAMPLES = (
     "torchmesh improve moved.vtu better.vtu --reference undeformed.vtu",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
     "torchmesh improve plate.inp better.inp --strict",
+    "torchmesh improve terrain.vtk better.vtk --height keep",
 )
 
 
@@ -100,6 +103,7 @@ def improve(
     beta: BetaOption = None,
     regions: RegionsOption = None,
     fields: FieldsOption = Fields.interpolate,
+    height: HeightOption = Height.interpolate,
     report: ReportOption = None,
     plot: PlotOption = None,
     strict: StrictOption = False,
@@ -127,7 +131,7 @@ def improve(
     if reference is not None:
         options = replace(options, reference=_in_the_same_plane(reference, given.batch))
     with console.progress(quiet) as show:
-        (improved,) = improve_series([given], options, fields=fields.value, progress=show)
+        (improved,) = improve_series([given], options, fields=fields.value, height=height.value, progress=show)
         seconds = time.perf_counter() - started
         draft = improved.draft(target)
         if strict:
@@ -146,6 +150,7 @@ def improve(
             "reference": None if reference is None else str(reference),
             "beta": beta,
             "regions_by": _told_by(improved.given.sources[0]),
+            "height": height.value,
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
             **columns,

@@ -101,7 +101,7 @@ class Follower:
 
 @dataclass(frozen=True)
 class Shift:
-    """`--move PART:DX,DY`: move a part of the boundary by a vector."""
+    """`--move PART:DX,DY`: move a part of the boundary by a vector, in the axes of the file."""
 
     part: Part
     by: tuple[float, ...]
@@ -113,7 +113,17 @@ class Shift:
         words = text.split(":")
         if len(words) != (3 if words[0] in ("outer", "hole") else 2):
             raise UsageError(f"{option}: expected hole:N:DX,DY or outer:N:DX,DY or X0,Y0,X1,Y1:DX,DY")
-        return cls(Part.of(option, words[:-1]), _numbers(option, words[-1], 2))
+        return cls(Part.of(option, words[:-1]), _numbers(option, words[-1], 2, 3))
+
+    def vector(self, mesh: "MeshBatch") -> "Tensor":
+        """(2,) the vector in the plane of the mesh; raises UsageError if it leaves that."""
+        from ..errors import InvalidMeshError
+        from ..mesh.file_axes import vector_in_plane
+
+        try:
+            return vector_in_plane(mesh, self.by)
+        except InvalidMeshError as error:
+            raise UsageError(f"{self.part.option}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -137,27 +147,41 @@ class Turn:
             raise UsageError(
                 f"{option}: expected hole:N:DEG or outer:N:DEG or X0,Y0,X1,Y1:DEG, and :X,Y for another centre"
             )
-        centre = _numbers(option, words[named + 1], 2) if len(words) > named + 1 else None
+        centre = _numbers(option, words[named + 1], 2, 3) if len(words) > named + 1 else None
         return cls(Part.of(option, words[:named]), _numbers(option, words[named], 1)[0], centre)
 
-    def apply(self, points: "Tensor", rows: "Tensor") -> "Tensor":
-        """(V, 2) `points` after those that `rows` (V,) bool marks have turned."""
+    def apply(self, mesh: "MeshBatch", points: "Tensor", rows: "Tensor") -> "Tensor":
+        """(V, 2) the `points` of a mesh after those that `rows` (V,) bool marks have turned.
+
+        Raises UsageError for a centre outside of the plane of the mesh.
+        """
+        from ..errors import InvalidMeshError
+        from ..mesh.file_axes import is_seen_from_behind, point_in_plane, told
+
         part = points[rows]
-        centre = (part.amin(0) + part.amax(0)) / 2 if self.centre is None else points.new_tensor(self.centre)
-        angle = math.radians(self.degrees)
+        try:
+            if self.centre is None:
+                seen = told(mesh, part)
+                centre = (seen.amin(0) + seen.amax(0)) / 2
+                centre = point_in_plane(mesh, tuple(centre.tolist()))
+            else:
+                centre = point_in_plane(mesh, self.centre)
+        except InvalidMeshError:
+            raise UsageError(f"{self.part.option}: the centre lies outside of the plane of the mesh") from None
+        angle = math.radians(-self.degrees if is_seen_from_behind(mesh) else self.degrees)
         turn = points.new_tensor([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         points = points.clone()
         points[rows] = centre + (part - centre) @ turn
         return points
 
 
-def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    """`count` finite numbers with commas between; raises UsageError."""
+def _numbers(option: str, text: str, count: int, most: int | None = None) -> tuple[float, ...]:
+    """`count` finite numbers with commas between, or up to `most`; raises UsageError."""
     try:
         values = tuple(float(word) for word in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != count or not all(math.isfinite(v) for v in values):
+    if not count <= len(values) <= (most or count) or not all(math.isfinite(v) for v in values):
         what = "a number" if count == 1 else f"{count} numbers with commas between"
         raise UsageError(f"{option}: {text!r} is not {what}")
     return values
@@ -185,10 +209,10 @@ class Motion:
         mesh = source.mesh
         goal = mesh.points
         for turn in self.turns:
-            goal = turn.apply(goal, turn.part.vertices(mesh))
+            goal = turn.apply(mesh, goal, turn.part.vertices(mesh))
         for shift in self.shifts:
             rows = shift.part.vertices(mesh)
-            goal = goal + rows[:, None] * goal.new_tensor(shift.by)
+            goal = goal + rows[:, None] * shift.vector(mesh)
         return goal if self.displacement is None else goal + _field(source, self.displacement)
 
 

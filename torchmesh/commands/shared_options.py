@@ -187,6 +187,22 @@ RegionsOption = Annotated[
 ]
 
 
+class Height(str, Enum):
+    """What becomes of the heights of a surface."""
+
+    interpolate = "interpolate"
+    keep = "keep"
+
+
+HeightOption = Annotated[
+    Height,
+    typer.Option(
+        help="For terrain and other surfaces, whose z is a field of x and y: where a vertex moves, z is read from the "
+        "surface of IN there (interpolate), or rides with the vertex (keep)."
+    ),
+]
+
+
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
 
 

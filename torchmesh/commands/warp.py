@@ -99,8 +99,9 @@ def warp(
 
     A PART is 'outer:N' or 'hole:N', a loop of the boundary as --list names it, or 'X0,Y0,X1,Y1', the boundary and
     other fixed vertices inside that box of the undeformed mesh. Turns come first, then all moves and the displacement
-    field add up; what is not named stays. Interfaces between regions follow as the rest of the interior does, unless
-    the point field 'fixed' marks them.
+    field add up; what is not named stays. Coordinates and vectors are those of the file: X and Z of a mesh in the x-z
+    plane; in a tilted plane the two that --list shows, or all three. Interfaces between regions follow as the rest of
+    the interior does, unless the point field 'fixed' marks them.
 
     A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps none
     inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit status
@@ -137,15 +138,18 @@ def _list(path: Path) -> int:
     """Prints the loops of the boundary and the boxes that they fill."""
     from ..files.mesh_files import read
     from ..mesh.boundary_parts import boundary_parts
+    from ..mesh.file_axes import told, told_axes
 
     use_threads(1)
     mesh = read(path)
     table = console.table()
     table.add_column("part")
-    for name in ("vertices", "x from", "x to", "y from", "y to"):
+    one, two = ("xyz"[axis] for axis in told_axes(mesh))
+    for name in ("vertices", f"{one} from", f"{one} to", f"{two} from", f"{two} to"):
         table.add_column(name, justify="right")
     for name, loop in boundary_parts(mesh).items():
-        (x0, y0), (x1, y1) = mesh.points[loop].amin(0).tolist(), mesh.points[loop].amax(0).tolist()
+        seen = told(mesh, mesh.points[loop])
+        (x0, y0), (x1, y1) = seen.amin(0).tolist(), seen.amax(0).tolist()
         table.add_row(name, f"{len(loop):,}", *(f"{v:.6g}" for v in (x0, x1, y0, y1)))
     console.stdout().print(table)
     return 0

@@ -12,6 +12,7 @@ from .correspondence import Correspondence
 from .field_transfer import FieldTransfer, is_floating, is_motion
 from .fields import is_numbering, on_triangles
 from .source import default_fixed
+from .surface import HeightChoice
 
 
 class _Block(NamedTuple):
@@ -29,10 +30,13 @@ class _Block(NamedTuple):
     triangle: np.ndarray | None = None
 
 
-def carried(mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None = None) -> tuple[meshio.Mesh, list[str]]:
+def carried(
+    mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None = None, height: HeightChoice = "interpolate"
+) -> tuple[meshio.Mesh, list[str]]:
     """The file's mesh with the new triangles, to be written; and names for what has to be left out of it.
 
     fields  transfers the fields to where vertices and triangles are now; None: they ride with vertices and rows
+    height  where vertices of a surface have moved, their heights are interpolated, or ride
     """
     file, dropped = old.source.content.mesh, []
     sets = list(file.cell_sets) if old.example is not None else []
@@ -42,7 +46,7 @@ def carried(mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None =
     lost = others - sum(len(b.data) for b in blocks if b.type != "triangle")
     if lost:
         dropped.append(f"{lost} cells whose vertices are gone")
-    result = meshio.Mesh(_positions(mesh, old), [meshio.CellBlock(b.type, b.data) for b in blocks])
+    result = meshio.Mesh(_positions(mesh, old, height), [meshio.CellBlock(b.type, b.data) for b in blocks])
     dropped = _carry_cell_data(old, fields, blocks, result) + dropped
     for name in sets:
         flags = [np.isin(np.arange(len(b.data)), m) for b, m in zip(file.cells, file.cell_sets[name], strict=True)]
@@ -144,12 +148,14 @@ def _triangle_blocks(content: Content, old: Correspondence) -> list[_Block]:
     return blocks
 
 
-def _positions(mesh: MeshBatch, old: Correspondence) -> np.ndarray:
+def _positions(mesh: MeshBatch, old: Correspondence, height: HeightChoice) -> np.ndarray:
     """(V, 3) in space; vertices that have not moved in their plane get the file's own coordinates."""
     given = old.source.content.mesh.points
     given = np.pad(given, ((0, 0), (0, 3 - given.shape[1])))
     points = lift(mesh).numpy()
     points = points.astype(np.result_type(points, given))
+    if old.source.surface is not None:
+        old.source.surface.put_into(points, old.source.mesh, mesh, old.old_vertex, height)
     before = np.flatnonzero(old.new_vertex >= 0)
     now = old.new_vertex[before]
     still = (old.source.mesh.points.to(mesh.points.dtype)[before] == mesh.points[now]).all(1).numpy()

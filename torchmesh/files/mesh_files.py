@@ -27,12 +27,14 @@ from .formats.format import Document
 from .formats.registry import FORMATS, format_of
 from .messages import warn
 from .source import Source, as_path, default_fixed
+from .surface import HeightChoice, check_height
 
 
 def read(path: str | os.PathLike[str], *, regions: str | None = None) -> MeshBatch:
     """The triangles of a mesh file, as a batch of one.
 
-    The format follows the extension (`formats.registry`).  Points may lie in any plane.
+    The format follows the extension (`formats.registry`).  Points may lie in any plane.  Of a surface that is a map of
+    a plane, such as terrain, the mesh is that in plan, and the heights stay with the file (`surface.Surface`).
 
     fixed              point data `fixed` where it is not zero; always the boundary, and the vertices of cells that
                        are neither triangles nor edges of them (quads, bars; vertex cells unless every vertex has one)
@@ -82,6 +84,7 @@ def write(
     *,
     fields: FieldChoice = "carry",
     before: MeshBatch | None = None,
+    height: HeightChoice = "interpolate",
 ) -> None:
     """Writes a batch of one in the format of the path's extension, whole or not at all.
 
@@ -100,6 +103,8 @@ def write(
                 integers at points; integers in cells take the value of the largest overlap.  "drop": what would be
                 transferred is left out
     before      the mesh that has the values for "interpolate"; None: the mesh of `like`
+    height      for surfaces (terrain), whose z is a field of x and y: where a vertex has moved, "interpolate" reads z
+                from the surface of `like`, "keep" lets z ride with the vertex
 
     `fixed` is stored as point data where `like` has it, or where `read` would not find the same without it.  Without
     `like`, constrained edges are stored as line cells.
@@ -108,6 +113,7 @@ def write(
     batch of several meshes; and ValueError for unknown `fields`.
     """
     check_choice(fields)
+    check_height(height)
     path = as_path(path)
     if len(mesh) != 1:
         raise InvalidMeshError(f"{path}: a file holds one mesh, this batch has {len(mesh)}: write each of mesh.split()")
@@ -119,7 +125,7 @@ def write(
     transfer = None
     if like is not None and fields != "carry":
         transfer = FieldTransfer(mesh_of_values(path, like.mesh, before), mesh, fields)
-    made = draft(path, mesh, like, vertex_map, transfer)
+    made = draft(path, mesh, like, vertex_map, transfer, height)
     made.tell()
     made.save()
 
@@ -130,6 +136,7 @@ def draft(
     like: Source | None,
     vertex_map: VertexMap | None = None,
     fields: FieldTransfer | None = None,
+    height: HeightChoice = "interpolate",
 ) -> Draft:
     """A batch of one, ready to be written at `path`; raises as `write` does.
 
@@ -142,7 +149,7 @@ def draft(
         return Draft.of(path, content)
     document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
     same_rows = correspondence.same_rows
-    content, dropped = carried(mesh, correspondence, fields)
+    content, dropped = carried(mesh, correspondence, fields, height)
     dropped += FORMATS[document.format].left_behind(document, format_of(path), same_rows)
     if correspondence.changed and document.format == format_of(path).name:
         dropped += document.by_element

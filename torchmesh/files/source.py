@@ -5,7 +5,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,11 +16,13 @@ from ..errors import InvalidMeshError, MeshIOError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.quads import inverted_quads, oriented_quads
+from ..mesh.validation import seen_from_above
 from .content import Content
 from .documents import load
 from .formats.format import Document
 from .messages import in_one_line, warn
 from .own_numbers import with_own_numbers
+from .surface import Surface
 
 # Words of messages that speak of constrained edges.
 _CONSTRAINED = re.compile(r"constrained edges? \[|its interfaces are held")
@@ -34,12 +36,14 @@ class Source:
     document  all that is in it
     content   the same taken apart: what of it binds the triangles
     mesh      the batch of one that `read` gives
+    surface   its heights, where the points lie in no plane of one height; None otherwise
     """
 
     path: Path
     document: Document
     content: Content
     mesh: MeshBatch
+    surface: Surface | None = None
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], regions: str | None = None) -> "Source":
@@ -52,7 +56,8 @@ class Source:
         """Raises InvalidMeshError and MeshIOError and warns as `read` does."""
         with in_one_line(path), _own_numbers_told(document):
             content = Content.of(document, path, regions)
-            return cls(path, document, content, _batch(content, path))
+            surface = Surface.of(content.mesh.points, content.rows[content.first], path)
+            return cls(path, document, content, _batch(content, path, surface), surface)
 
     def explained(self, text: str) -> str:
         """A message about the mesh: rows also as the file's own numbers, constrained edges by what they come from."""
@@ -107,14 +112,20 @@ def default_fixed(mesh: MeshBatch, pinned: np.ndarray | None = None) -> torch.Te
     return fixed if pinned is None else fixed | torch.from_numpy(pinned)
 
 
-def _batch(content: Content, path: Path) -> MeshBatch:
-    """The triangles of a file.  Errors and warnings of MeshBatch.from_arrays name the file."""
+def _batch(content: Content, path: Path, surface: Surface | None) -> MeshBatch:
+    """The triangles of a file, in plan.  Errors and warnings of MeshBatch.from_arrays name the file."""
     fixed = content.pinned if content.fixed is None else content.pinned | content.fixed
     faces = content.rows[content.first]
+    points = content.mesh.points
+    if surface is not None:
+        points = surface.plan(points)
+        if surface.axis != 2:  # neither side of such a plane is above
+            frame = surface.frame[0]
+            faces = seen_from_above(torch.from_numpy(points), torch.from_numpy(faces), frame).numpy()
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            mesh = MeshBatch.from_arrays(content.mesh.points, faces, fixed, content.constrained)
+            mesh = MeshBatch.from_arrays(points, faces, fixed, content.constrained)
     except InvalidMeshError as error:
         raise InvalidMeshError(f"{path}: {error}") from None
     # Vertices of quads and lines belong to no triangle, and nothing is wrong with them.
@@ -123,4 +134,4 @@ def _batch(content: Content, path: Path) -> MeshBatch:
     texts += [f"{len(lost)} vertices belong to no cell; they are kept"] if len(lost) else []
     for text in texts:
         warn(f"{path}: {text}")
-    return mesh
+    return mesh if surface is None else replace(mesh, frames=surface.frame)

@@ -32,6 +32,7 @@ from .formats.xdmf import XDMF, check_data_files, is_series
 from .mesh_files import draft
 from .messages import translated, warn
 from .source import Source
+from .surface import HeightChoice
 
 _INCLUDE = re.compile(r"include$")
 
@@ -131,6 +132,7 @@ def draft_series(
     *,
     fields: FieldChoice = "carry",
     before: MeshBatch | None = None,
+    height: HeightChoice = "interpolate",
 ) -> "SeriesDraft":
     """The steps of `like`, ready to be written; arguments and errors are those of `write_series`."""
     path = Path(path)
@@ -149,7 +151,7 @@ def draft_series(
     if len(like) > 1 and form is not XDMF:
         raise MeshIOError(f"{path}: {form.name} files hold one step, the series has {len(like)}: write .xdmf")
     pairs = zip(like.mesh_of_step, like.sources, strict=True)
-    steps = [draft(path, meshes[m], source, maps[m], transfers[m]) for m, source in pairs]
+    steps = [draft(path, meshes[m], source, maps[m], transfers[m], height) for m, source in pairs]
     summary = sum((one.summary for one in transfers if one is not None), FieldSummary())
     return SeriesDraft(path, like.times, steps, summary)
 

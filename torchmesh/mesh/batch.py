@@ -24,6 +24,7 @@ from .validation import (
     checked_points,
     checked_positions,
     checked_triangles,
+    seen_from_above,
     to_plane,
 )
 from .winding import oriented
@@ -74,7 +75,7 @@ class MeshBatch:
         faces = checked_triangles(triangles, len(xyz)).to(xyz.device)
         xyz = checked_positions(xyz, faces)
         flat, frame = to_plane(xyz, faces)
-        faces, twin = oriented(flat, faces)
+        faces, twin = oriented(flat, seen_from_above(flat, faces, frame))
         count = len(flat)
         used = torch.zeros(count, dtype=torch.bool, device=flat.device)
         used[faces.reshape(-1)] = True

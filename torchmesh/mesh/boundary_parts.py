@@ -14,6 +14,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from . import connectivity
 from .batch import MeshBatch
+from .file_axes import told
 
 # A box is this part of the mesh's extent larger than given, because coordinates in files are rounded.
 _BOX_TOLERANCE = 1e-9
@@ -28,7 +29,8 @@ def boundary_parts(mesh: MeshBatch) -> dict[str, Tensor]:
         xy = mesh.points[loop]
         following = xy.roll(-1, 0)
         area = float((xy[:, 0] * following[:, 1] - xy[:, 1] * following[:, 0]).sum()) / 2
-        middle = tuple(((xy.amin(0) + xy.amax(0)) / 2).tolist())
+        seen = told(mesh, xy)
+        middle = tuple(((seen.amin(0) + seen.amax(0)) / 2).tolist())
         (outer if area > 0 else holes).append((-area if area > 0 else 0.0, middle, loop))
     named = {}
     for name, found in (("outer", outer), ("hole", holes)):
@@ -38,11 +40,12 @@ def boundary_parts(mesh: MeshBatch) -> dict[str, Tensor]:
 
 
 def in_box(mesh: MeshBatch, box: tuple[float, ...]) -> Tensor:
-    """(V,) bool: the fixed vertices in the box with the opposite corners x0, y0, x1, y1."""
+    """(V,) bool: the fixed vertices in the box with the opposite corners x0, y0, x1, y1, in the axes of the file."""
     x0, y0, x1, y1 = box
-    low, high = mesh.points.new_tensor([[min(x0, x1), min(y0, y1)], [max(x0, x1), max(y0, y1)]])
-    slack = _BOX_TOLERANCE * float(mesh.points.amax(0).sub(mesh.points.amin(0)).max())
-    return mesh.fixed & ((mesh.points >= low - slack) & (mesh.points <= high + slack)).all(1)
+    points = told(mesh, mesh.points)
+    low, high = points.new_tensor([[min(x0, x1), min(y0, y1)], [max(x0, x1), max(y0, y1)]])
+    slack = _BOX_TOLERANCE * float(points.amax(0).sub(points.amin(0)).max())
+    return mesh.fixed & ((points >= low - slack) & (points <= high + slack)).all(1)
 
 
 def part_vertices(batch: MeshBatch, name: str) -> Tensor:

@@ -173,17 +173,16 @@ def checked_constraints(constrained_edges: Any, faces: Tensor, twin: Tensor, ver
 def to_plane(xyz: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """(V, 2) coordinates in the plane of the points, and that plane (3, 3): origin, x and y axis.
 
-    A plane of constant z keeps its x and y to the bit and is seen from above; any other is seen
-    from the side on which most of the area runs counter-clockwise.  Vertices far outside the boundary do not tilt it.
+    A plane that is parallel to two axes of the file keeps the coordinates along them, in their order, to the bit:
+    x and y, x and z, or y and z.  A plane of constant z is seen from above.  A tilted plane is seen from the side on
+    which most of the area runs counter-clockwise.  Vertices far outside the boundary do not tilt it.
     """
-    frame = torch.eye(3, dtype=torch.float64, device=xyz.device).roll(1, 0)
-    frame[0] = 0
     if xyz.shape[1] == 2:
-        return xyz.contiguous(), frame
-    z = xyz[faces.reshape(-1), 2]
-    frame[0, 2] = z[0]
-    if bool((z == z[0]).all()):
-        return xyz[:, :2].contiguous(), frame
+        return xyz.contiguous(), frame_across(2, 0.0, xyz.device)
+    corners = xyz[faces.reshape(-1)]
+    across = axis_across(corners)
+    if across is not None:
+        return xyz[:, axes_beside(across)].contiguous(), frame_across(across, _level(corners, across), xyz.device)
     wide = xyz.to(torch.float64)
     used = torch.zeros(len(xyz), dtype=torch.bool, device=xyz.device)
     used[faces.reshape(-1)] = True
@@ -198,6 +197,56 @@ def to_plane(xyz: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
             "of the others; torchmesh improves planar meshes"
         )
     return plane.flat.to(xyz.dtype), plane.frame
+
+
+def seen_from_above(flat: Tensor, faces: Tensor, frame: Tensor) -> Tensor:
+    """(T, 3) the triangles, turned round where they are clockwise only because of the side they are seen from.
+
+    flat   (V, 2) coordinates in the plane `frame` (3, 3)
+
+    A plane of constant z is seen from above, so its triangles come back as they are.  Of any other plane neither side
+    is above, and its coordinates may run along the axes of the file, which fixes the side.
+    """
+    if bool((frame[1:, 2] == 0).all()):
+        return faces
+    edges, times = _open_edges(faces, len(flat))
+    at = flat.to(torch.float64) - flat[faces[0, 0]].to(torch.float64)
+    a, b = at[edges[:, 0]], at[edges[:, 1]]
+    area = (times * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum()
+    return faces.flip(1) if float(area) < 0 else faces
+
+
+def axes_beside(across: int) -> list[int]:
+    """The two axes of the file that are not `across`, in their order."""
+    return [axis for axis in range(3) if axis != across]
+
+
+def frame_across(across: int, level: float, device: torch.device | None = None) -> Tensor:
+    """(3, 3) float64 the plane in which the coordinate `across` is `level`: its origin and its two axes."""
+    frame = torch.zeros((3, 3), dtype=torch.float64, device=device)
+    frame[0, across] = level
+    for row, axis in enumerate(axes_beside(across), 1):
+        frame[row, axis] = 1
+    return frame
+
+
+def axis_across(points: Tensor) -> int | None:
+    """The axis of space along which the points (N, 3) do not differ, up to `_PLANARITY` of their extent.
+
+    z comes before y, and y before x; None if there is no such axis.  Where no coordinate is constant to the bit, the
+    one that varies least is taken.
+    """
+    spread = points.amax(0).to(torch.float64) - points.amin(0).to(torch.float64)
+    order = (2, 1, 0)
+    least = min(order, key=lambda axis: float(spread[axis]))
+    return least if float(spread[least]) <= _PLANARITY * float(spread.max()) else None
+
+
+def _level(points: Tensor, across: int) -> float:
+    """The coordinate `across` of a plane through the points (N, 3): theirs, if it is the same, or the middle."""
+    column = points[:, across].to(torch.float64)
+    low, high = float(column.min()), float(column.max())
+    return low if low == high else low + 0.5 * (high - low)
 
 
 class _Plane(NamedTuple):
