@@ -62,9 +62,9 @@ def clean(
     check_mesh_target(target)
     document = load(source)
     mesh, log = wiped(document, source, tolerance, sew)
-    if mesh.points.shape[1] == 2 and format_of(target).name != document.format:
+    if mesh.points.shape[1] == 2 and format_of(target, document).name != document.format:
         mesh.points = np.pad(mesh.points, ((0, 0), (0, 1)))
-    lost = FORMATS[document.format].left_behind(document, format_of(target), not log.changed)
+    lost = FORMATS[document.format].left_behind(document, format_of(target, document), not log.changed)
     made = Draft.of(target, mesh, document, not log.changed, source, tuple(lost))
     made.tell()
     made.save()

@@ -58,7 +58,7 @@ class Draft:
 
         Raises MeshIOError for a path that cannot be written, and for a file that is changed in place and cannot be.
         """
-        form = format_of(path)
+        form = format_of(path, like)
         real_target(path)
         like = like if like is not None and like.format == form.name else None
         if like is not None and form.patches(like):
@@ -83,7 +83,8 @@ class Draft:
         if self.dropped:
             warn(f"{self.path}: not carried over from {self.source}: {', '.join(self.dropped)}")
         if self.unheld:
-            warn(f"{self.path}: {format_of(self.path).name} files do not hold {', '.join(self.unheld)}; dropped")
+            form = format_of(self.path, self.like).name
+            warn(f"{self.path}: {form} files do not hold {', '.join(self.unheld)}; dropped")
         if self.stale:
             warn(f"{self.path}: values at nodes that moved stay as they were: {', '.join(self.stale)}")
         for remark in self.remarks:
@@ -100,7 +101,7 @@ class Draft:
 
     def save(self) -> None:
         """Writes the file, whole or not at all.  Raises MeshIOError."""
-        form = format_of(self.path)
+        form = format_of(self.path, self.like)
         name, path = form.name, self.path
         with translated(path, "write", name), replacing(path) as made, full_disk_named(made.parent):
             if self.patched and self.like is not None:

@@ -11,7 +11,8 @@ import numpy as np
 REGION_TAGS = (
     "gmsh:physical", "gmsh:geometrical", "medit:ref", "su2:tag", "cell_tags", "CellEntityIds", "nastran:ref",
     "avsucd:material", "netgen:index", "obj:group_ids", "MaterialIDs", "MaterialIds", "material", "region",
-    "kratos:properties", "exodus:block",
+    "kratos:properties", "exodus:block", "freefem:label", "mfem:attribute", "triangle:attribute", "sms:material",
+    "comsol:entity", "adcirc:boundary",
 )  # fmt: skip
 
 

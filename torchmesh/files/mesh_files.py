@@ -150,8 +150,8 @@ def draft(
     document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
     same_rows = correspondence.same_rows
     content, dropped = carried(mesh, correspondence, fields, height)
-    dropped += FORMATS[document.format].left_behind(document, format_of(path), same_rows)
-    if correspondence.changed and document.format == format_of(path).name:
+    dropped += FORMATS[document.format].left_behind(document, format_of(path, document), same_rows)
+    if correspondence.changed and document.format == format_of(path, document).name:
         dropped += document.by_element
     content.points = _in_space(path, content.points, mesh, document)
     stale = [] if fields is None or not same_rows else _stale(document, content.points)
@@ -178,7 +178,7 @@ def _new_content(mesh: MeshBatch) -> meshio.Mesh:
 
 def _in_space(path: Path, points: np.ndarray, mesh: MeshBatch, like: Document | None) -> np.ndarray:
     """The points with two or three coordinates, as the format of `path` and the file that is followed have them."""
-    form = format_of(path)
+    form = format_of(path, like)
     if form.planar:
         if bool((points[:, 2] != points[0, 2]).any()):
             warn(f"{path}: {form.name} is two-dimensional: the mesh is laid into the plane")

@@ -7,19 +7,23 @@ import pytest
 
 from torchmesh import MeshIOError
 from torchmesh.files.formats import registry
+from torchmesh.files.formats.format import Document
 from torchmesh.files.formats.meshio_formats import MeshioFormat
 from torchmesh.files.formats.registry import FORMATS, format_in, format_of, known_extensions
 
 
 def test_every_extension_leads_to_its_format():
-    assert len(known_extensions()) == sum(len(form.extensions) for form in FORMATS.values())  # none is shared today
-    for form in FORMATS.values():
+    leads_to = {".msh": "gmsh", ".mesh": "medit"}  # the formats of extensions that several share
+    extensions = [extension for form in FORMATS.values() for extension in form.extensions]
+    assert sorted(extensions) == sorted([*known_extensions(), *leads_to])
+    for name, form in FORMATS.items():
         for extension in form.extensions:
-            assert format_of(Path(f"a{extension.upper()}")) is form
+            assert format_of(Path(f"a{extension.upper()}")).name == leads_to.get(extension, name)
+            assert format_of(Path(f"a{extension}"), Document(None, name)) is form  # as the file that is followed
 
 
 def test_an_unknown_extension_is_told_with_the_known_ones():
-    with pytest.raises(MeshIOError, match=r"a\.xyz: the extension '\.xyz' is not known; known ones are .*\.xml$"):
+    with pytest.raises(MeshIOError, match=r"a\.xyz: the extension '\.xyz' is not known; known ones are .*\.mphtxt$"):
         format_of(Path("a.xyz"))
 
 

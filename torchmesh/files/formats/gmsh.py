@@ -31,6 +31,9 @@ _KNOWN = ("MeshFormat", "PhysicalNames", "Entities", "Nodes", "Elements", "NodeD
 
 @dataclass(frozen=True)
 class GmshFormat(Format):
+    def recognises(self, head: bytes) -> bool:
+        return head.lstrip().startswith(b"$")
+
     def read(self, path: Path) -> Document:
         mesh, file = gmsh_read.read(path)
         if file is None:

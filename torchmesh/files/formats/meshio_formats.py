@@ -60,6 +60,7 @@ class MeshioFormat(Format):
                    end again and again, as meshio does in many loops; "": meshio opens it
     binary_option  can meshio write it both as text and as binary
     in_memory      is it written to memory first, because HDF5 crashes the process when a disk is full
+    foreign        what a file begins with that has the extension and is of another format
     """
 
     check: Callable[[bytes], None] | None = None
@@ -71,6 +72,10 @@ class MeshioFormat(Format):
     stream: str = ""
     binary_option: bool = False
     in_memory: bool = False
+    foreign: bytes = b""
+
+    def recognises(self, head: bytes) -> bool:
+        return not self.foreign or not head.lstrip().startswith(self.foreign)
 
     def read(self, path: Path) -> Document:
         data = b"" if self.check_file else path.read_bytes()
@@ -160,7 +165,8 @@ SURFACE_FORMATS = (
 
 SOLVER_FORMATS = (
     MeshioFormat(
-        "medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", skipped=in_medit, stream="text"
+        "medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", skipped=in_medit, stream="text",
+        foreign=b"MFEM",
     ),
     MeshioFormat(
         "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5,

@@ -4,26 +4,55 @@ from pathlib import Path
 
 from ...errors import MeshIOError
 from .abaqus import ABAQUS
+from .adcirc import ADCIRC
+from .comsol import COMSOL
 from .exodus import EXODUS
-from .format import Format
+from .format import Document, Format
+from .freefem import FREEFEM
 from .gmsh import GMSH
 from .kratos import KRATOS
 from .meshio_formats import SOLVER_FORMATS, SURFACE_FORMATS
+from .mfem import MFEM
 from .nastran import NASTRAN
 from .obj import OBJ
+from .sms import SMS
 from .su2 import SU2
+from .triangle import TRIANGLE
 from .vtk import VTK
 from .vtu import VTU
 from .xdmf import XDMF
 
-_ALL = (VTU, VTK, GMSH, XDMF, OBJ, *SURFACE_FORMATS, SU2, EXODUS, KRATOS, NASTRAN, ABAQUS, *SOLVER_FORMATS)
+_ALL = (
+    VTU,
+    VTK,
+    GMSH,
+    XDMF,
+    OBJ,
+    *SURFACE_FORMATS,
+    SU2,
+    EXODUS,
+    KRATOS,
+    NASTRAN,
+    ABAQUS,
+    *SOLVER_FORMATS,
+    FREEFEM,
+    MFEM,
+    TRIANGLE,
+    ADCIRC,
+    SMS,
+    COMSOL,
+)
 
 FORMATS: dict[str, Format] = {form.name: form for form in _ALL}
 
 
-def format_of(path: Path) -> Format:
-    """The format that a file with this extension is written in.  Raises MeshIOError for an unknown extension."""
-    return _formats_of(path)[0]
+def format_of(path: Path, like: Document | None = None) -> Format:
+    """The format that a file with this extension is written in.  Raises MeshIOError for an unknown extension.
+
+    Where several formats share the extension, it is that of `like`, the file that is followed, if it is one of them.
+    """
+    found = _formats_of(path)
+    return next((form for form in found if like is not None and form.name == like.format), found[0])
 
 
 def format_in(path: Path) -> Format:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import meshio
 import numpy as np
 
-from .text_numbers import numbers_of
+from .text_numbers import numbers_of, with_words
 
 # The integer cell data that says in which zone a cell is, as IZONE counts them.
 ZONE = "su2:zone"
@@ -49,21 +49,13 @@ class Su2Lines:
         for number, point in zip(self.points, mesh.points[:, :2].tolist(), strict=True):
             words = lines[number].split("%")[0].split()
             if [float(word) for word in words[:2]] != point:
-                lines[number] = _with_words(lines[number], 0, [repr(x) for x in point])
+                lines[number] = with_words(lines[number], 0, [repr(x) for x in point])
         for numbers, start, block in zip(self.cells, self.starts, mesh.cells, strict=True):
             for number, row in zip(numbers, (block.data - start).tolist(), strict=True):
                 words = lines[number].split("%")[0].split()
                 if [int(float(word)) for word in words[1 : 1 + len(row)]] != row:
-                    lines[number] = _with_words(lines[number], 1, [str(node) for node in row])
+                    lines[number] = with_words(lines[number], 1, [str(node) for node in row])
         return lines
-
-
-def _with_words(line: str, first: int, words: list[str]) -> str:
-    """The line with other words from the word `first` on."""
-    spans = [match.span() for match in re.finditer(r"\S+", line)][first : first + len(words)]
-    for (start, stop), word in reversed(list(zip(spans, words, strict=True))):
-        line = line[:start] + word + line[stop:]
-    return line
 
 
 def zones_of(lines: list[str]) -> int:

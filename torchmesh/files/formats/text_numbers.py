@@ -1,5 +1,6 @@
 """Rows of numbers in text files: read with errors that quote the row, written without loss."""
 
+import re
 import warnings
 from collections.abc import Iterator
 
@@ -43,3 +44,11 @@ def number_lines(table: np.ndarray, before: str = "") -> Iterator[str]:
     for start in range(0, len(table), 1 << 14):
         part = table[start : start + (1 << 14)]
         yield line * len(part) % tuple(part.reshape(-1).tolist())
+
+
+def with_words(line: str, first: int, words: list[str]) -> str:
+    """The line with other words from the word `first` on."""
+    spans = [match.span() for match in re.finditer(r"\S+", line)][first : first + len(words)]
+    for (start, stop), word in reversed(list(zip(spans, words, strict=True))):
+        line = line[:start] + word + line[stop:]
+    return line

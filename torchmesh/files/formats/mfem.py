@@ -1,0 +1,147 @@
+"""MFEM's meshes of version 1 (.mesh), which share their extension with Medit's.
+
+    MFEM mesh v1.0
+    dimension 2
+    elements  n, then rows of: attribute, geometry, vertices counted from 0
+    boundary  the same for the elements of the boundary
+    vertices  n, then the number of coordinates, then rows of coordinates
+
+https://mfem.org/mesh-formats/
+"""
+
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from .format import LINEAR, Document
+from .text_numbers import number_lines
+from .text_tables import Reader, Rows, TextFormat, TextTables, groups_by_tag, tagged, whole
+
+ATTRIBUTE = "mfem:attribute"
+
+# MFEM's number of each geometry: meshio's name for it, its number of vertices.
+_KINDS = {0: ("vertex", 1), 1: ("line", 2), 2: ("triangle", 3), 3: ("quad", 4)}
+_NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
+
+_SETS = ("attribute_sets", "bdr_attribute_sets")
+
+
+@dataclass
+class _Parts:
+    """What is read of a file: blocks as (type, is it on the boundary, nodes, attributes), and where their rows are."""
+
+    blocks: list[tuple[str, bool, np.ndarray, np.ndarray]] = field(default_factory=list)
+    rows: list[Rows] = field(default_factory=list)
+    points: np.ndarray | None = None
+    points_at: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    sets: dict[str, list[int]] = field(default_factory=dict)
+    skipped: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class MfemFormat(TextFormat):
+    """Attributes are the cell data `mfem:attribute`; the boundary with attribute 3 is called attribute-3.
+
+    Version 1.3 has names for sets of attributes, which then are the names of these parts of the boundary.
+    """
+
+    def recognises(self, head: bytes) -> bool:
+        return head.lstrip().startswith(b"MFEM")
+
+    def parse(self, lines: list[str], path: Path) -> Document:
+        reader = Reader(lines, "#")
+        head = reader.text("its first line")
+        if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
+            raise ValueError(f"{head[:40]!r} is not of the versions 1.0 to 1.3 of MFEM's format")
+        parts = _Parts()
+        while reader.left:
+            self._read_section(reader.text("a section"), reader, parts)
+        if parts.points is None or not parts.blocks:
+            raise ValueError("it has no elements or no vertices")
+        cells = [(kind, nodes) for kind, _, nodes, _ in parts.blocks]
+        mesh = meshio.Mesh(parts.points, cells, cell_data={ATTRIBUTE: [tags for *_, tags in parts.blocks]})
+        edges = [(nodes, tags) for kind, border, nodes, tags in parts.blocks if border and kind == "line"]
+        sides = groups_by_tag([nodes for nodes, _ in edges], [tags for _, tags in edges], "attribute")
+        for name, members in parts.sets.items():
+            sides[name] = np.concatenate([np.zeros((0, 2), np.int64), *(n[np.isin(t, members)] for n, t in edges)])
+        labels = np.arange(len(parts.points))
+        tables = TextTables(lines, Rows(parts.points_at, 0), parts.rows, labels)
+        comments = ["comments"] if any(line.split("#")[1:] for line in lines[1:]) else []
+        return Document(mesh, self.name, rest=tables, sides=sides, skipped=(*parts.skipped, *comments))
+
+    def _read_section(self, key: str, reader: Reader, parts: _Parts) -> None:
+        if key == "dimension":
+            if reader.whole("the dimension") != [2]:
+                raise ValueError("its dimension is not 2: only planar meshes can be improved")
+        elif key in ("elements", "boundary"):
+            (count,) = reader.whole(f"the number of {key}")
+            at, numbers, starts, widths = reader.table(count, 3, key)
+            _read_elements(key, at, numbers, starts, widths, parts)
+        elif key == "vertices":
+            (count,) = reader.whole("the number of vertices")
+            if reader.left and not re.fullmatch(r"\d+", reader.texts[reader.at]):
+                raise ValueError("its elements are curved (nodes); save it with straight elements: SetCurvature(1)")
+            (width,) = reader.whole("the number of coordinates")
+            if not 2 <= width <= 3:
+                raise ValueError(f"its vertices have {width} coordinates instead of 2 or 3")
+            parts.points_at, parts.points = reader.columns(count, width, "vertices")
+        elif key == "nodes":
+            raise ValueError("its elements are curved (nodes); save it with straight elements: SetCurvature(1)")
+        elif key in _SETS:
+            parts.skipped.append(f"the {key}")
+            (count,) = reader.whole(f"the number of {key}")
+            for _ in range(count):
+                row = reader.text(f"one of the {key}")
+                if (found := re.fullmatch(r'"([^"]*)"\s+(\d+)((?:\s+\d+)*)', row)) is None:
+                    raise ValueError(f"a row of {key} is not a name and numbers: {row[:60]!r}")
+                if key == "bdr_attribute_sets":
+                    parts.sets[found[1]] = [int(word) for word in found[3].split()]
+        elif key != "mfem_mesh_end":
+            raise ValueError(f"its section {key[:40]!r} is not known")
+
+    def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
+        groups: dict[bool, list[np.ndarray]] = {False: [], True: []}
+        for i, block in enumerate(mesh.cells):
+            border = block.type in ("line", "vertex")
+            head = np.column_stack([tagged(mesh, ATTRIBUTE, i, 1), np.full(len(block.data), _NUMBERS[block.type])])
+            head[:, 0] = np.maximum(head[:, 0], 1)  # attributes are positive
+            groups[border].append(np.column_stack([head, block.data]))
+        yield "MFEM mesh v1.0\n\ndimension\n2\n"
+        for border, name in ((False, "elements"), (True, "boundary")):
+            yield f"\n{name}\n{sum(map(len, groups[border]))}\n"
+            for table in groups[border]:
+                yield from number_lines(table)
+        points = np.asarray(mesh.points)
+        if points.shape[1] == 3 and not points[:, 2].any():
+            points = points[:, :2]
+        yield f"\nvertices\n{len(points)}\n{points.shape[1]}\n"
+        yield from number_lines(points)
+
+
+def _read_elements(
+    key: str, at: np.ndarray, numbers: np.ndarray, starts: np.ndarray, widths: np.ndarray, parts: _Parts
+) -> None:
+    """Adds the runs of elements of one geometry."""
+    kinds = whole(numbers[starts + 1], f"the geometries of {key}")
+    ends = [0, *(1 + np.flatnonzero(np.diff(kinds))).tolist(), len(kinds)]
+    for begin, end in itertools.pairwise(ends):
+        if begin == end:
+            continue
+        if int(kinds[begin]) not in _KINDS:
+            raise ValueError(f"geometry {kinds[begin]} is not planar or not known")
+        name, width = _KINDS[int(kinds[begin])]
+        if (widths[begin:end] < 2 + width).any():
+            raise ValueError(f"one of its {key} of geometry {kinds[begin]} needs {width} vertices")
+        table = whole(numbers[starts[begin:end, None] + np.arange(2 + width)], key)
+        parts.blocks.append((name, key == "boundary", table[:, 2:], table[:, 0]))
+        parts.rows.append(Rows(at[begin:end], 2))
+
+
+# The extension .mfem is ours: it says that a new file is not to be one of Medit's.
+MFEM = MfemFormat("mfem", (".mfem", ".mesh"), ("vertex", *LINEAR), point_data="none", cell_data="regions",
+                  region_name=ATTRIBUTE)  # fmt: skip
