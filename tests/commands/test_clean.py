@@ -35,7 +35,7 @@ def test_it_says_what_it_did_and_the_result_can_be_improved(call, folder):
     again = call("clean", "clean.vtu", "again.vtu")
     assert again.out.splitlines() == ["nothing to mend", "1 component of 6 triangles"]
     assert (folder / "again.vtu").read_bytes() == (folder / "clean.vtu").read_bytes()
-    assert call("clean", "dirty.vtu", "dirty.vtu", "--quiet").out == ""
+    assert call("clean", "dirty.vtu", "dirty.vtu", "--in-place", "--quiet").out == ""
     assert len(read(folder / "dirty.vtu").triangles) == 6
 
 

@@ -88,7 +88,7 @@ def test_paper_method_with_an_absolute_beta(call, folder):
 
 
 def test_improve_can_write_over_its_input(call, folder):
-    assert call("improve", "tangled.vtu", "tangled.vtu").status == 0
+    assert call("improve", "tangled.vtu", "tangled.vtu", "--in-place").status == 0
     assert inverted(folder / "tangled.vtu") == 0
 
 

@@ -10,8 +10,8 @@ import typer
 
 from . import console
 from .errors import UsageError
-from .shared_options import InArgument, QuietOption
-from .targets import check_mesh_target
+from .shared_options import InArgument, InPlaceOption, QuietOption
+from .targets import check_mesh_target, target_of
 
 EXAMPLES = (
     "torchmesh clean scanned.vtk mesh.vtk",
@@ -23,11 +23,11 @@ EXAMPLES = (
 def clean(
     source: InArgument,
     target: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="OUT", help="Mesh file to write; fields, groups and lines of IN come along.", show_default=False
         ),
-    ],
+    ] = None,
     tolerance: Annotated[
         float,
         typer.Option(
@@ -37,6 +37,7 @@ def clean(
         ),
     ] = 0.0,
     sew: Annotated[bool, typer.Option("--sew", help="Close slits, too: their two sides become one.")] = False,
+    in_place: InPlaceOption = False,
     quiet: QuietOption = False,
 ) -> int:
     """Mend a mesh file: vertices and triangles that are there twice, hanging vertices, mixed winding.
@@ -59,6 +60,7 @@ def clean(
 
     if not math.isfinite(tolerance):
         raise UsageError(f"--tolerance must be a length, not {tolerance}")
+    target = target_of(source, target, in_place)
     check_mesh_target(target)
     document = load(source)
     mesh, log = wiped(document, source, tolerance, sew)

@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
     from rich.table import Table
 
@@ -48,10 +50,43 @@ def open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-@functools.cache
 def stdout() -> "Console":
-    """The console that tables are printed on."""
+    """The console that tables are printed on: standard output, unless a mesh flows there."""
+    return _stderr() if _tables_away else _stdout()
+
+
+@functools.cache
+def _stdout() -> "Console":
     return _console(width=None if sys.stdout.isatty() else _FILE_WIDTH)
+
+
+_tables_away: list[bool] = []
+
+
+@contextlib.contextmanager
+def tables_on_stderr() -> Iterator[None]:
+    """Inside, tables go to standard error."""
+    _tables_away.append(True)
+    try:
+        yield
+    finally:
+        _tables_away.pop()
+
+
+# What files are called in lines and tables where that is not their path: `-` for a pipe.
+_called: dict[str, str] = {}
+
+
+def call_it(path: "Path", name: str) -> None:
+    """From now on the path is told by this name."""
+    _called[str(path)] = name
+
+
+def told(text: str) -> str:
+    """The text with the names of files as they are to be told."""
+    for path, name in _called.items():
+        text = text.replace(path, name)
+    return text
 
 
 @functools.cache
@@ -72,7 +107,7 @@ def _console(**options: Any) -> "Console":
 def say(text: str) -> None:
     """Prints one line on standard error, if anybody reads that."""
     with contextlib.suppress(OSError):
-        _stderr().print(" ".join(text.split()), markup=False, soft_wrap=True)
+        _stderr().print(" ".join(told(text).split()), markup=False, soft_wrap=True)
 
 
 @contextlib.contextmanager
@@ -206,7 +241,7 @@ def table(title: str | None = None) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    plain = None if title is None else Text(title)
+    plain = None if title is None else Text(told(title))
     return Table(title=plain, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
 
 

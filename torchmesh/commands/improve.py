@@ -22,6 +22,7 @@ from .shared_options import (
     Height,
     HeightOption,
     InArgument,
+    InPlaceOption,
     InterfacesOption,
     Method,
     MethodOption,
@@ -38,7 +39,7 @@ from .shared_options import (
     improve_options,
     use_threads,
 )
-from .targets import check_distinct, check_mesh_target
+from .targets import check_distinct, check_mesh_target, target_of
 
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
@@ -65,7 +66,7 @@ EXAMPLES = (
 
 
 OutArgument = Annotated[
-    Path,
+    Path | None,
     typer.Argument(
         metavar="OUT", help="Mesh file to write; fields, groups and lines of IN come along.", show_default=False
     ),
@@ -92,7 +93,7 @@ PlotOption = Annotated[
 
 def improve(
     source: InArgument,
-    target: OutArgument,
+    target: OutArgument = None,
     method: MethodOption = Method.default,
     topology: TopologyOption = Topology.flip,
     boundary: BoundaryOption = Boundary.fixed,
@@ -107,6 +108,7 @@ def improve(
     report: ReportOption = None,
     plot: PlotOption = None,
     strict: StrictOption = False,
+    in_place: InPlaceOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
 ) -> int:
@@ -123,6 +125,7 @@ def improve(
     from ..batches.file_improvement import improve_series, open_mesh
 
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
+    target = target_of(source, target, in_place)
     _check_targets(source, target, report, plot)
     use_threads(threads)
 
@@ -139,8 +142,8 @@ def improve(
         quads, columns = improved.inverted_quads(), _columns(improved)
         document = {
             "torchmesh": console.version(),
-            "input": str(source),
-            "output": str(target),
+            "input": console.told(str(source)),
+            "output": console.told(str(target)),
             "method": method.value,
             "topology": topology.value,
             "boundary": boundary.value,

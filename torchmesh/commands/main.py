@@ -21,6 +21,7 @@ import typer
 from ..kernels.library import kernels_in_use
 from . import animate, batch, clean, console, generate, improve, quality, report, reproduce, warp
 from .errors import ClickException
+from .pipes import with_pipes
 
 INTERRUPTED, UNREAD = 130, 141
 
@@ -32,7 +33,7 @@ app = typer.Typer(
     help="Untangle planar triangle meshes and give their triangles good shapes.",
     epilog="[dim]Start here:[/]  torchmesh improve tangled.vtu better.vtu --plot picture.png"
     "\n\n[dim]Exit status:[/]  0 every mesh valid, 1 some mesh has inverted triangles, 2 bad input or usage",
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -100,18 +101,23 @@ def _common(
     pass
 
 
-def _register(function: Callable, examples: tuple[str, ...]) -> None:
-    """Makes a function a command: its docstring is the help text, and the examples stand below the options."""
+def _register(function: Callable, examples: tuple[str, ...], *, pipes: bool = False) -> None:
+    """Makes a function a command: its docstring is the help text, and the examples stand below the options.
+
+    pipes  may `-` stand for standard input and output
+    """
     paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
     # Typer's versions differ in what they do with line breaks inside a paragraph, so there are none.
     text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
-    app.command(help=text, epilog="\n\n".join(["[dim]Examples:[/]", *examples]))(function)
+    app.command(help=text, epilog="\n\n".join(["[dim]Examples:[/]", *examples]))(
+        with_pipes(function) if pipes else function
+    )
 
 
-_register(improve.improve, improve.EXAMPLES)
-_register(quality.quality, quality.EXAMPLES)
-_register(clean.clean, clean.EXAMPLES)
-_register(warp.warp, warp.EXAMPLES)
+_register(improve.improve, improve.EXAMPLES, pipes=True)
+_register(quality.quality, quality.EXAMPLES, pipes=True)
+_register(clean.clean, clean.EXAMPLES, pipes=True)
+_register(warp.warp, warp.EXAMPLES, pipes=True)
 _register(reproduce.reproduce, reproduce.EXAMPLES)
 _register(batch.batch, batch.EXAMPLES)
 _register(generate.generate, generate.EXAMPLES)

@@ -111,7 +111,7 @@ def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -
     q = measure(mesh)
     folded = source.inverted_quads().tolist()
     record = {
-        "file": str(source.path),
+        "file": console.told(str(source.path)),
         **console.record(mesh, q, (len(source.quads), len(folded))),
         "worst": _worst(mesh, q, worst, triangle_numbers(source.document)),
     }
@@ -230,7 +230,9 @@ def _files_table(records: list[dict[str, Any]]) -> Any:
         if sized:
             mean, low, high = (f"{r['edge_length_over_size'][k]:.2f}" for k in ("mean", "p5", "p95"))
             cells.append(f"{mean} ({low} - {high})")
-        table.add_row(Text(r["file"]), *cells, style="red" if r["inverted"] + r.get("inverted_quads", 0) else None)
+        table.add_row(
+            Text(console.told(r["file"])), *cells, style="red" if r["inverted"] + r.get("inverted_quads", 0) else None
+        )
     return table
 
 

@@ -203,6 +203,12 @@ HeightOption = Annotated[
 ]
 
 
+InPlaceOption = Annotated[
+    bool,
+    typer.Option("--in-place", help="OUT may be IN, which the result then replaces; OUT may also be left out."),
+]
+
+
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
 
 

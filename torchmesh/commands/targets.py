@@ -18,6 +18,17 @@ def check_distinct(*paths: Path | None) -> None:
         taken.add(real)
 
 
+def target_of(source: Path, target: Path | None, in_place: bool) -> Path:
+    """The file to write; raises UsageError if it is missing, or its input and that was not asked for."""
+    if target is None:
+        if in_place:
+            return source
+        raise UsageError("Missing argument 'OUT', the file to write")
+    if not in_place and source.exists() and target.exists() and os.path.samefile(source, target):
+        raise UsageError(f"{target}: it would take the place of its input; add --in-place if it is to")
+    return target
+
+
 def check_mesh_target(target: Path) -> None:
     """Raises MeshIOError unless a mesh file of this name can be written."""
     from ..files.atomic import check_target

@@ -14,8 +14,16 @@ import typer
 from . import console
 from .errors import UsageError
 from .motion_options import Follower, Motion
-from .shared_options import InArgument, QuietOption, RegionsOption, StrictOption, ThreadsOption, use_threads
-from .targets import check_mesh_target
+from .shared_options import (
+    InArgument,
+    InPlaceOption,
+    QuietOption,
+    RegionsOption,
+    StrictOption,
+    ThreadsOption,
+    use_threads,
+)
+from .targets import check_mesh_target, target_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -92,6 +100,7 @@ def warp(
     rigid: RigidOption = None,
     regions: RegionsOption = None,
     strict: StrictOption = False,
+    in_place: InPlaceOption = False,
     threads: ThreadsOption = 1,
     quiet: QuietOption = False,
 ) -> int:
@@ -113,8 +122,7 @@ def warp(
         if target or asked or improve_too or followers:
             raise UsageError("--list goes with IN alone")
         return _list(source)
-    if target is None:
-        raise UsageError("Missing argument 'OUT', the file to write")
+    target = target_of(source, target, in_place)
     if not asked:
         raise UsageError("nothing to move: give --move, --rotate or --displacement (--list names the parts)")
     motion = Motion.of(rotate or [], move or [], displacement)
