@@ -7,10 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..mesh import triangle
-from ..mesh.measure import minimum_angle
+from ..mesh.measure import shapes
 from ..mesh.ragged import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
-from ..mesh.triangle import corners
 from ..optimising.moves import Monitor
 from ..optimising.targets import target_quality
 from ..smoothing.polishing import PolishOptions, bad_triangles
@@ -73,11 +71,9 @@ def _measured(state: State, polish: PolishOptions) -> _Measured:
         mean, largest = segment_sum(ratio, offsets) / counts_from_offsets(offsets), segment_max(ratio, offsets)
         return _Measured(mean, largest, torch.full_like(mean, torch.inf), torch.zeros_like(state.status))
     q = state.judged
-    angle = minimum_angle(state.mesh)
-    out = state.unchangeable
+    every = shapes(state.mesh)[0]
+    if state.unchangeable is not None:
+        every = torch.where(state.unchangeable, torch.pi / 3, every)
+    angle = segment_min(every, offsets) * (180 / math.pi)
     bad = bad_triangles(state.mesh, q, polish)
-    if out is not None:
-        t = corners(state.mesh.points.to(torch.float64), state.mesh.triangles)
-        every = torch.where(out, torch.pi / 3, triangle.minimum_angle(t))
-        angle = segment_min(every, offsets) * (180 / math.pi)
     return _Measured(q.mean, q.max, angle, segment_count(bad, offsets))

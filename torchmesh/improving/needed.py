@@ -10,11 +10,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..mesh import triangle
 from ..mesh.batch import MeshBatch
-from ..mesh.measure import Quality
+from ..mesh.measure import Quality, smallest_angles
 from ..mesh.ragged import segment_any
-from ..mesh.triangle import corners, least_ratio
+from ..mesh.triangle import least_ratio
 from ..smoothing.boundary_limits import asked_of, fan_limits
 from ..status import Status
 from .ending import compare_sizes
@@ -46,7 +45,7 @@ def beyond(
     rows = worse.nonzero().squeeze(1)
     if not len(rows):
         return ~q.upright
-    angle = triangle.minimum_angle(corners(mesh.points.to(torch.float64), mesh.triangles.index_select(0, rows)))
+    angle = smallest_angles(mesh, rows)
     ratio = q.inverse_mean_ratio.index_select(0, rows)
     bad = (angle < t) | (ratio > bound.ratio)
     if bool(bad.any()):

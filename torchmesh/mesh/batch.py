@@ -167,6 +167,8 @@ class MeshBatch:
 
     def split(self) -> list["MeshBatch"]:
         """The B meshes, each as a batch of one."""
+        if len(self) == 1:
+            return [self]
         vertex, face = self.point_offsets.tolist(), self.triangle_offsets.tolist()
         owner, twin = constraint_owner(self), self.known_twin
         meshes = []

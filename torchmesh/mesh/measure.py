@@ -97,9 +97,18 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
 
 def shapes(batch: MeshBatch) -> tuple[Tensor, Tensor]:
     """(T,) the smallest unsigned angle in radians, 0 for a flat triangle, and the inverse mean ratio."""
-    if library_for(batch.points) is not None:
-        return geometry.shapes(batch.points.to(torch.float64), batch.triangles)
-    t = corners(batch.points.to(torch.float64), batch.triangles)
+    return _shapes(batch.points, batch.triangles)
+
+
+def smallest_angles(batch: MeshBatch, rows: Tensor) -> Tensor:
+    """(N,) the smallest unsigned angles in radians of the triangles in these `rows` (N,) int64."""
+    return _shapes(batch.points, batch.triangles.index_select(0, rows))[0]
+
+
+def _shapes(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
+    if library_for(points) is not None:
+        return geometry.shapes(points.to(torch.float64), triangles)
+    t = corners(points.to(torch.float64), triangles)
     return triangle.minimum_angle(t), triangle.inverse_mean_ratio(t)
 
 

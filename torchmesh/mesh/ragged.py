@@ -31,6 +31,9 @@ def segment_ids(offsets: Tensor) -> Tensor:
 
 def spread(per_mesh: Tensor, offsets: Tensor) -> Tensor:
     """(B, ...) one value a mesh to (N, ...) one value a row."""
+    if len(per_mesh) == 1:
+        # Most batches are of one mesh, and a copy of a number takes less time than to look for its place.
+        return per_mesh.expand(int(offsets[1]), *per_mesh.shape[1:]).contiguous()
     return per_mesh.repeat_interleave(counts_from_offsets(offsets), dim=0)
 
 
@@ -69,12 +72,16 @@ def segment_min(values: Tensor, offsets: Tensor, empty: float = torch.inf) -> Te
 
 def segment_count(flags: Tensor, offsets: Tensor) -> Tensor:
     """(N,) bool rows to the (B,) int64 number that are true."""
+    if len(offsets) == 2:
+        return flags.sum()[None]
     totals = torch.nn.functional.pad(flags.to(torch.int64).cumsum(0), (1, 0))
     return totals[offsets[1:]] - totals[offsets[:-1]]
 
 
 def segment_any(flags: Tensor, offsets: Tensor) -> Tensor:
     """(N,) bool rows to (B,) bool: is any of a mesh's rows true."""
+    if len(offsets) == 2:
+        return flags.any()[None]
     return segment_count(flags, offsets) > 0
 
 

@@ -19,13 +19,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..mesh import triangle
 from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import touching
 from ..mesh.detached import without_autograd
 from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
-from ..mesh.measure import Quality, quality, shapes
+from ..mesh.measure import Quality, quality, shapes, smallest_angles
 from ..mesh.neighbourhoods import surroundings
 from ..mesh.ragged import (
     counts_from_offsets,
@@ -39,7 +38,7 @@ from ..mesh.ragged import (
     spread,
 )
 from ..mesh.submesh import picked, submesh
-from ..mesh.triangle import corners, least_ratio
+from ..mesh.triangle import least_ratio
 from .boundary_limits import asked_of, fan_limits
 from .patches import Patches, every_flip, seeds_of
 from .smoothing import SmoothOptions, smooth
@@ -167,8 +166,7 @@ def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tenso
     bad = q.inverse_mean_ratio > least
     rows = bad.nonzero().squeeze(1)
     valid = q.inverted.index_select(0, owner_of(rows, batch.triangle_offsets)) == 0
-    few = corners(batch.points.to(torch.float64), batch.triangles.index_select(0, rows))
-    bad[rows] = valid & _is_bad(triangle.minimum_angle(few), q.inverse_mean_ratio.index_select(0, rows), options)
+    bad[rows] = valid & _is_bad(smallest_angles(batch, rows), q.inverse_mean_ratio.index_select(0, rows), options)
     return bad
 
 

@@ -172,10 +172,15 @@ def _bodies(batch: MeshBatch) -> tuple[Tensor, int]:
     on_boundary[boundary.reshape(-1)] = True
     inner = batch.constrained_edges[~on_boundary[batch.constrained_edges].any(1)]
     ends = torch.cat([boundary, inner])
-    i, j = ends.cpu().numpy().T
-    graph = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(count, count))
-    label = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64)).to(boundary.device)
-    used = torch.zeros(count, dtype=torch.bool, device=boundary.device)
-    used[ends.reshape(-1)] = True
-    names = label[used].unique()
-    return torch.where(used, torch.searchsorted(names, label), len(names)), len(names)
+    used, place = ends.reshape(-1).unique(return_inverse=True)
+    i, j = place.reshape(-1, 2).cpu().numpy().T
+    graph = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(len(used),) * 2)
+    number, label = connected_components(graph, directed=False)
+    # Bodies are numbered by their first vertex, and so in the order of the meshes.
+    first = np.full(number, len(used))
+    np.minimum.at(first, label, np.arange(len(used)))
+    rank = np.empty(number, np.int64)
+    rank[first.argsort()] = np.arange(number)
+    body = torch.full((count,), number, device=boundary.device)
+    body[used] = torch.from_numpy(rank[label]).to(boundary.device)
+    return body, number
