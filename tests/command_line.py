@@ -68,6 +68,17 @@ def crossed() -> meshio.Mesh:
     return meshio.Mesh(points, [("triangle", triangles)])
 
 
+# A file with a method for the benchmark.
+METHOD = """
+import torchmesh as tm
+from torchmesh import bench
+
+@bench.method("mine")
+def mine(mesh):
+    return tm.smooth(tm.untangle(mesh)[0])[0]
+"""
+
+
 def write_examples(folder: Path) -> None:
     """The files that the examples of the help texts name."""
     for name in ("tangled.vtu", "tangled.vtk", "tangled.msh"):
@@ -87,6 +98,7 @@ def write_examples(folder: Path) -> None:
         folder / "terrain.vtk"
     )
     write(folder / "scanned.stl", meshes.jittered())
+    (folder / "my_method.py").write_text(METHOD)
     points, triangles = meshes.grid_arrays(4, 4)
     soup = np.pad(points[triangles].reshape(-1, 2), ((0, 0), (0, 1)))
     meshio.Mesh(soup, [("triangle", np.arange(len(soup)).reshape(-1, 3))]).write(folder / "scanned.vtk")

@@ -11,7 +11,7 @@ The folders are the algorithm, from the ground up; a folder imports from those a
     remeshing       vertices that come, go and travel
     improving       the whole job, and how it is put together from the steps
     learning        losses, layers and data for networks  pictures       plots, films, the report page
-    batches         files by the thousand
+    batches         files by the thousand                 bench          a benchmark of tangled meshes
     commands        the command line
 """
 
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from . import bench
     from .batches.manifest import FileResult
     from .batches.runs import improve_files
     from .diagnosing.diagnosis import Problem, ProblemKind, diagnose
@@ -111,6 +112,7 @@ _HOMES = {name: module for module, names in _NAMES.items() for name in names.spl
 
 # Public modules, known as torchmesh.nn and so on wherever they lie.
 _MODULES = {
+    "bench": "bench",
     "datasets": "learning.datasets",
     "domains": "learning.domains",
     "losses": "learning.losses",
@@ -198,6 +200,7 @@ __all__ = [
     "UntangleOptions",
     "VertexMap",
     "animate",
+    "bench",
     "clean",
     "courant_step",
     "datasets",

@@ -23,7 +23,9 @@ import torch
 
 import torchmesh as tm
 from experiments.paper.domains import Domain, Row, moving_bar, moving_circle, moving_gate
-from experiments.shared import arguments, boundary, gmsh_mesher
+from experiments.shared import arguments
+from torchmesh.bench import boundary
+from torchmesh.bench.methods import gmsh_mesher
 
 Array = np.ndarray
 

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 
 import torchmesh as tm
 from experiments.quality.limits import least_mean_without_interior
-from experiments.shared import arguments, boundary, tables
+from experiments.shared import arguments, tables
 from experiments.shared.tangles import tangle
+from torchmesh.bench import boundary
 
 CASES = [("mapped", 3), ("mapped", 4), ("mapped", 6), ("mapped", 8), ("wound", 1), ("wound", 2)]
 TITLES = (

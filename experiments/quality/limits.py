@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared import boundary
+from torchmesh.bench import boundary
 
 MOST_TRIANGLES_AT_A_CORNER = 24
 

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared import gmsh_mesher, outlines
+from experiments.shared import outlines
+from torchmesh.bench.methods import gmsh_mesher
 
 Array = np.ndarray
 

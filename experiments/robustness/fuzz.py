@@ -24,7 +24,7 @@ from scipy.spatial import Delaunay
 
 import torchmesh as tm
 from experiments.shared import arguments
-from experiments.shared.exact_check import double_areas, inverted
+from torchmesh.bench.exact_check import double_areas, inverted
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.interfaces import holding
 

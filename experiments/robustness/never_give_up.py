@@ -9,10 +9,10 @@ are installed, gmsh's UntangleMeshGeometry and MFEM's TMOP.  Only if named: `imp
 and foldover-free maps as published, which is slow.
 
 Each case and way is one line of never_give_up.jsonl.  A run that was stopped continues where it was, and a run with
-other numbers adds to the record.  Exact signs decide what is valid, independently of torchmesh (shared/exact_check.py).
-The picture shows success, quality and time of each family against the number that makes it harder, over all sizes,
-gradings, angles and seeds of the record; never_give_up.md holds the tables of docs/measured.md.  The exit status is 1
-if a result of ours is not valid.
+other numbers adds to the record.  Exact signs decide what is valid, by counting and not by torchmesh's own checks
+(torchmesh/bench/exact_check.py).  The picture shows success, quality and time of each family against the number that
+makes it harder, over all sizes, gradings, angles and seeds of the record; never_give_up.md holds the tables of
+docs/measured.md.  The exit status is 1 if a result of ours is not valid.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ import torchmesh as tm
 from experiments.robustness.success import draw, tables_of
 from experiments.robustness.ways import PROMISE, USUAL, WAYS
 from experiments.shared import arguments
-from experiments.shared.exact_check import boundary_is_simple, faults
 from experiments.shared.tangles import FAMILIES, Tangle, tangle
+from torchmesh.bench.exact_check import boundary_is_simple, faults
 
 # What tells one case from another.
 KEY = ("family", "value", "angle", "triangles", "grading", "seed")

@@ -2,8 +2,6 @@
 
 Wall time is what a user waits.  The processor time of this process is given beside it, since other work on the machine
 hardly changes it.  Everything runs in one thread.
-
-This module must not import torchmesh, whose import is one of the things that are measured.
 """
 
 from __future__ import annotations
@@ -14,54 +12,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-
-@dataclass(frozen=True)
-class Seconds:
-    """The wall time and the processor time of some work."""
-
-    wall: float
-    cpu: float
-
-    def __add__(self, other: Seconds) -> Seconds:
-        return Seconds(self.wall + other.wall, self.cpu + other.cpu)
-
-    def __sub__(self, other: Seconds) -> Seconds:
-        return Seconds(self.wall - other.wall, self.cpu - other.cpu)
-
-    def __mul__(self, factor: float) -> Seconds:
-        return Seconds(self.wall * factor, self.cpu * factor)
-
-    def least(self, other: Seconds) -> Seconds:
-        """The smaller wall time and the smaller processor time of the two."""
-        return Seconds(min(self.wall, other.wall), min(self.cpu, other.cpu))
-
-    def over(self, other: Seconds) -> Seconds:
-        """The ratios of this to `other`."""
-        return Seconds(self.wall / other.wall, self.cpu / other.cpu)
-
-    def __str__(self) -> str:
-        return f"{self.wall:.4g} s (cpu {self.cpu:.4g})"
-
-
-class Stopwatch:
-    """`with Stopwatch() as watch: ...` leaves `watch.seconds`."""
-
-    def __enter__(self) -> Stopwatch:
-        self._wall, self._cpu = time.perf_counter(), self._processor_time()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds = Seconds(time.perf_counter() - self._wall, self._processor_time() - self._cpu)
-
-    @staticmethod
-    def _processor_time() -> float:
-        """The processor time of this process and of its children that have ended."""
-        times = os.times()
-        return time.process_time() + times.children_user + times.children_system
+from torchmesh.bench.stopwatch import Seconds, Stopwatch
 
 
 def interleaved(works: Mapping[str, Callable[[], Seconds | None]], repeats: int) -> dict[str, Seconds]:

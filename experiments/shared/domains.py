@@ -24,9 +24,10 @@ import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared import gmsh_mesher, outlines
+from experiments.shared import outlines
 from experiments.shared.cache import cached
-from experiments.shared.exact_check import double_areas
+from torchmesh.bench.exact_check import double_areas
+from torchmesh.bench.methods import gmsh_mesher
 
 Array = np.ndarray
 KINDS = ("circle", "bar", "gate")

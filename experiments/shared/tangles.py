@@ -22,9 +22,12 @@ import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared import boundary, gmsh_mesher, outlines
+from experiments.shared import outlines
 from experiments.shared.cache import cached
-from experiments.shared.exact_check import double_areas
+from torchmesh.bench import boundary
+from torchmesh.bench.exact_check import double_areas
+from torchmesh.bench.methods import gmsh_mesher
+from torchmesh.learning.outlines import bent_band
 
 Array = np.ndarray
 # The loops of a domain, sizes as parts of the size far away, and its area.
@@ -147,7 +150,7 @@ def _scrambled(mesh: tm.MeshBatch, how: float, angle: float, seed: int) -> torch
 
 
 def _mapped(mesh: tm.MeshBatch, arms: float, angle: float, seed: int) -> torch.Tensor:
-    return _laid(mesh, outlines.letter(int(arms)), seed)
+    return _laid(mesh, bent_band(int(arms)), seed)
 
 
 def _wound(mesh: tm.MeshBatch, turns: float, angle: float, seed: int) -> torch.Tensor:

@@ -9,7 +9,7 @@ import torch
 
 import torchmesh as tm
 from experiments.quality import layers
-from experiments.shared import gmsh_mesher
+from torchmesh.bench.methods import gmsh_mesher
 from torchmesh.mesh.boundary_parts import boundary_parts
 from torchmesh.transferring.transfer import Method
 

@@ -25,8 +25,8 @@ import torch
 
 import torchmesh as tm
 from experiments.shared import arguments, clocks, domains, peers, tables
-from experiments.shared.clocks import Seconds, Stopwatch
 from experiments.speed.fresh_process import FIRST_CALL
+from torchmesh.bench.stopwatch import Seconds, Stopwatch
 
 OURS = "torchmesh"
 # Foldover-free maps is left out: this implementation of it was not made for speed.

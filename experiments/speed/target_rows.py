@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torchmesh as tm
-from experiments.shared.clocks import Seconds
+from torchmesh.bench.stopwatch import Seconds
 
 # The greatest IMR average and maximum that a target accepts of a mesh.
 MEAN, MAXIMUM = 1.08, 2.5

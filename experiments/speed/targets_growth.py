@@ -9,10 +9,10 @@ import torch
 
 import torchmesh as tm
 from experiments.shared import clocks, domains
-from experiments.shared.clocks import Seconds
-from experiments.shared.exact_check import double_areas
 from experiments.speed.fresh_process import GROWTH
 from experiments.speed.target_rows import Row, Setting, acceptable, improve_into, judge, ratio_row
+from torchmesh.bench.exact_check import double_areas
+from torchmesh.bench.stopwatch import Seconds
 
 
 def growth(s: Setting) -> list[Row]:

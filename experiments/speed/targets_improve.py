@@ -9,10 +9,10 @@ import torch
 
 import torchmesh as tm
 from experiments.shared import clocks, domains, peers
-from experiments.shared.clocks import Seconds
-from experiments.shared.exact_check import inverted
 from experiments.speed.fresh_process import FIRST_CALL
 from experiments.speed.target_rows import Row, Setting, acceptable, improve_into, judge, ratio_row
+from torchmesh.bench.exact_check import inverted
+from torchmesh.bench.stopwatch import Seconds
 
 
 def batch(s: Setting) -> list[Row]:

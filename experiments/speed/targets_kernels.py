@@ -6,9 +6,9 @@ import numpy as np
 
 import torchmesh as tm
 from experiments.shared import clocks, domains, peers
-from experiments.shared.exact_check import inverted
 from experiments.speed import references
 from experiments.speed.target_rows import Row, Setting, ratio_row
+from torchmesh.bench.exact_check import inverted
 
 
 def iteration(s: Setting) -> list[Row]:

@@ -131,9 +131,12 @@ def test_no_arguments_is_a_request_for_help(call):
     assert "Usage: torchmesh" in done.out
 
 
+COMMANDS = {command.callback.__name__: command for command in cli.app.registered_commands} | {
+    f"bench {command.name or command.callback.__name__}": command for command in cli.benchmark.registered_commands
+}
 EXAMPLES = [
     example
-    for command in cli.app.registered_commands
+    for command in COMMANDS.values()
     for example in (command.epilog or "").split("\n\n")[1:]
     if not example.startswith("torchmesh reproduce")  # test_reproduce runs them
 ]
@@ -141,9 +144,8 @@ EXAMPLES = [
 
 def test_every_command_has_examples_in_its_help(call):
     assert len(EXAMPLES) >= 12
-    for command in cli.app.registered_commands:
-        name = command.callback.__name__
-        done = call(name, "--help")
+    for name in COMMANDS:
+        done = call(*name.split(), "--help")
         assert done.status == 0
         assert "Examples:" in done.out
         assert f"torchmesh {name}" in done.out

@@ -3,8 +3,8 @@
 import pytest
 
 import torchmesh as tm
-from experiments.shared.exact_check import boundary_is_simple
 from experiments.shared.tangles import FAMILIES, tangle
+from torchmesh.bench.exact_check import boundary_is_simple
 
 
 @pytest.mark.parametrize("family", ["moved", "turned", "jittered", "scrambled", "mapped", "wound"])

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from experiments.shared.clocks import Seconds
 from experiments.speed import targets
 from experiments.speed.target_rows import ratio_row
+from torchmesh.bench.stopwatch import Seconds
 
 TINY = ["--small", "300", "--medium", "500", "--large", "800", "--meshes", "3", "--repeats", "1"]
 

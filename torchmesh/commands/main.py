@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 from ..kernels.library import kernels_in_use
-from . import animate, batch, clean, console, generate, improve, quality, report, reproduce, warp
+from . import animate, batch, bench, clean, console, generate, improve, quality, report, reproduce, warp
 from .errors import ClickException
 from .pipes import with_pipes
 
@@ -101,15 +101,24 @@ def _common(
     pass
 
 
-def _register(function: Callable, examples: tuple[str, ...], *, pipes: bool = False) -> None:
+def _register(
+    function: Callable,
+    examples: tuple[str, ...],
+    *,
+    pipes: bool = False,
+    under: typer.Typer = app,
+    name: str | None = None,
+) -> None:
     """Makes a function a command: its docstring is the help text, and the examples stand below the options.
 
     pipes  may `-` stand for standard input and output
+    under  the group that it is a command of
+    name   what it is called; None: as the function
     """
     paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
     # Typer's versions differ in what they do with line breaks inside a paragraph, so there are none.
     text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
-    app.command(help=text, epilog="\n\n".join(["[dim]Examples:[/]", *examples]))(
+    under.command(name, help=text, epilog="\n\n".join(["[dim]Examples:[/]", *examples]))(
         with_pipes(function) if pipes else function
     )
 
@@ -123,3 +132,8 @@ _register(batch.batch, batch.EXAMPLES)
 _register(generate.generate, generate.EXAMPLES)
 _register(report.report, report.EXAMPLES)
 _register(animate.animate, animate.EXAMPLES)
+
+benchmark = typer.Typer(name="bench", help="Compare methods on a benchmark of tangled meshes.", no_args_is_help=True)
+_register(bench.run, bench.RUN_EXAMPLES, under=benchmark)
+_register(bench.show, bench.LIST_EXAMPLES, under=benchmark, name="list")
+app.add_typer(benchmark)

@@ -88,3 +88,23 @@ def regular_polygon(count: int) -> np.ndarray:
     """(count, 2) equally spaced vertices of the unit circle, counter-clockwise."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def bent_band(arms: int) -> np.ndarray:
+    """(N, 2) the outline of a band that bends `arms` times: 1 an L, 2 a U, 4 a G, 6 and more a spiral."""
+    corners, position, heading = [np.array([0.0, 0.0])], np.array([0.0, 0.0]), np.array([1.0, 0.0])
+    for arm in range(arms + 1):
+        position = position + heading * (1.0 + (arms - arm) // 2)
+        corners.append(position)
+        heading = np.array([-heading[1], heading[0]])
+    line = np.array(corners)
+    half = 0.2
+    sides = []
+    for sign in (-1, 1):
+        side = []
+        for i, p in enumerate(line):
+            before, after = (line[i] - line[i - 1] if i else None), (line[i + 1] - p if i + 1 < len(line) else None)
+            normals = [np.array([-d[1], d[0]]) / np.linalg.norm(d) for d in (before, after) if d is not None]
+            side.append(p + sign * half * (normals[0] if len(normals) == 1 else normals[0] + normals[1]))
+        sides.append(np.array(side))
+    return np.concatenate([sides[0], sides[1][::-1]])

@@ -13,6 +13,7 @@ import torch
 
 from experiments.robustness import fuzz
 from experiments.shared import outlines
+from torchmesh.learning.outlines import bent_band
 from torchmesh.mesh import connectivity
 from torchmesh.triangulating.polygon_triangulation import triangulate_with
 
@@ -61,9 +62,9 @@ def comb(rng: np.random.Generator, triangles: int) -> Arrays | None:
 
 def spiral(rng: np.random.Generator, triangles: int) -> Arrays | None:
     """A wound strip of up to four turns, or a block letter of up to eight bends."""
-    outline = outlines.spiral(rng.uniform(0.3, 4)) if rng.uniform() < 0.5 else outlines.letter(int(rng.integers(1, 9)))
+    outline = outlines.spiral(rng.uniform(0.3, 4)) if rng.uniform() < 0.5 else bent_band(int(rng.integers(1, 9)))
     if len(outline) > triangles:
-        outline = outlines.letter(int(rng.integers(1, 4)))
+        outline = bent_band(int(rng.integers(1, 4)))
     more = max(0, triangles // 3 - len(outline))
     return _meshed(rng, [_divided(rng, outline, more)], triangles // 4)
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared.exact_check import directed, faults, inverted
+from torchmesh.bench.exact_check import directed, faults, inverted
 
 from . import tangles
 from .domains import DOMAINS

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from experiments.shared import boundary
-from experiments.shared.clocks import Stopwatch
-from experiments.shared.exact_check import double_areas
-from experiments.shared.peers.outcome import Outcome, need
+from torchmesh.bench import boundary
+from torchmesh.bench.exact_check import double_areas
+from torchmesh.bench.methods.outcome import Outcome, need
+from torchmesh.bench.stopwatch import Stopwatch
 
 Array = np.ndarray
 

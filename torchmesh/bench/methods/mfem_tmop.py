@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from experiments.shared import boundary, exact_check
-from experiments.shared.clocks import Stopwatch
-from experiments.shared.peers.outcome import Outcome, need
+from .. import boundary, exact_check
+from ..stopwatch import Stopwatch
+from .outcome import Outcome, need
 
 Array = np.ndarray
 

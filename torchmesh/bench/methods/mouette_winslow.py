@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from experiments.shared.clocks import Seconds, Stopwatch
-from experiments.shared.peers.outcome import Outcome, Refused, need
-from torchmesh.mesh import connectivity
+from ...mesh import connectivity
+from ..registry import Refused
+from ..stopwatch import Seconds, Stopwatch
+from .outcome import Outcome, need
 
 Array = np.ndarray
 

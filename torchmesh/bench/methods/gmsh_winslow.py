@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from experiments.shared import boundary
-from experiments.shared.clocks import Stopwatch
-from experiments.shared.peers.outcome import Outcome, need
+from .. import boundary
+from ..stopwatch import Stopwatch
+from .outcome import Outcome, need
 
 Array = np.ndarray
 
@@ -24,7 +24,7 @@ def gmsh(points: Array, triangles: Array, fixed: Array) -> Outcome:
 
     loops = [loop.tolist() for loop in boundary.loops(torch.from_numpy(triangles))]
     # The outer loop comes first; it has the largest area.
-    loops.sort(key=lambda loop: -abs(_polygon_area(points[loop])))
+    loops.sort(key=lambda loop: -abs(boundary.polygon_area(points[loop])))
     xyz = np.pad(points, ((0, 0), (0, 1)))
     api.initialize(interruptible=False)
     try:
@@ -56,8 +56,3 @@ def gmsh(points: Array, triangles: Array, fixed: Array) -> Outcome:
     finally:
         api.finalize()
     return Outcome(moved, triangles, watch.seconds)
-
-
-def _polygon_area(polygon: Array) -> float:
-    x, y = polygon.T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 from torch import Tensor
 
-from torchmesh.mesh import connectivity
+from ..mesh import connectivity
 
 
 def edges(triangles: Tensor) -> Tensor:
@@ -15,3 +16,9 @@ def edges(triangles: Tensor) -> Tensor:
 def loops(triangles: Tensor) -> list[Tensor]:
     """The vertices along each closed curve of the boundary, in order, the mesh on the left."""
     return connectivity.boundary_loops(edges(triangles))
+
+
+def polygon_area(polygon: np.ndarray) -> float:
+    """The signed area inside a closed polyline (n, 2)."""
+    x, y = polygon.T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

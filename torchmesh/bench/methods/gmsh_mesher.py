@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from experiments.shared.exact_check import double_areas
+from ..exact_check import double_areas
 
 Array = np.ndarray
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from experiments.shared import gmsh_mesher, outlines
+from experiments.shared import outlines
 from experiments.shared.cache import cached
-from experiments.shared.exact_check import double_areas, inverted
+from torchmesh.bench.exact_check import double_areas, inverted
+from torchmesh.bench.methods import gmsh_mesher
 
 
 @pytest.fixture

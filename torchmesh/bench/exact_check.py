@@ -7,14 +7,14 @@ from fractions import Fraction
 
 import numpy as np
 
-import torchmesh as tm
-from experiments.shared import boundary
-from torchmesh.mesh.interfaces import holding
+from ..mesh.batch import MeshBatch
+from ..mesh.interfaces import holding
+from . import boundary
 
 Array = np.ndarray
 
 
-def faults(given: tm.MeshBatch, after: tm.MeshBatch) -> list[str]:
+def faults(given: MeshBatch, after: MeshBatch) -> list[str]:
     """What is wrong with `after` as the improved `given`, in words; an empty list if nothing is.
 
     No triangle may be flat or inverted.  Every fixed vertex keeps its position.  Each edge has at most one triangle
@@ -75,7 +75,7 @@ def directed(triangles: Array) -> Counter:
     return Counter((u, v) for a, b, c in triangles.tolist() for u, v in ((a, b), (b, c), (c, a)))
 
 
-def boundary_is_simple(mesh: tm.MeshBatch) -> bool:
+def boundary_is_simple(mesh: MeshBatch) -> bool:
     """Whether the boundary is a simple polygon with simple, disjoint holes inside it, by shapely."""
     import shapely
 

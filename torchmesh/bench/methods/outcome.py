@@ -1,20 +1,19 @@
-"""What a peer returns, and the two reasons why it may return nothing."""
-
-from __future__ import annotations
+"""What a tool returns whose own call is timed, and a check that it is installed."""
 
 import importlib.util
 from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.shared.clocks import Seconds
+from ..registry import Missing
+from ..stopwatch import Seconds
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The mesh that a peer made.
+    """The mesh that a tool made.
 
     points     (V, 2)
     triangles  (T, 3)
@@ -26,14 +25,6 @@ class Outcome:
     triangles: Array
     seconds: Seconds
     note: str = ""
-
-
-class Missing(Exception):
-    """The peer is not installed; the message names the extra, and a row of a table can show it."""
-
-
-class Refused(Exception):
-    """The peer says that it cannot take this mesh."""
 
 
 def need(module: str) -> None:

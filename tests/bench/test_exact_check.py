@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torchmesh as tm
-from experiments.shared import exact_check
+from torchmesh.bench import exact_check
 
 
 def test_it_finds_every_fault():

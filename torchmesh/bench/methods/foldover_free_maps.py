@@ -6,9 +6,9 @@ import itertools
 
 import numpy as np
 
-from experiments.shared.clocks import Stopwatch
-from experiments.shared.exact_check import double_areas
-from experiments.shared.peers.outcome import Outcome
+from ..exact_check import double_areas
+from ..stopwatch import Stopwatch
+from .outcome import Outcome
 
 Array = np.ndarray
 
@@ -52,7 +52,7 @@ def foldover_free(points: Array, triangles: Array, fixed: Array) -> Outcome:
     with Stopwatch() as watch:
         for rounds in itertools.count(1):
             before = energy(unknowns, eps)[0]
-            unknowns = minimize(
+            unknowns = minimize(  # type: ignore[call-overload]
                 lambda u, eps=eps: energy(u, eps)[:2], unknowns, jac=True, method="L-BFGS-B",
                 options={"maxiter": 10_000, "maxfun": 20_000, "gtol": 1e-4, "ftol": 1e-9},
             ).x  # fmt: skip
