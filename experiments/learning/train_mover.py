@@ -17,8 +17,10 @@ import torch
 
 import torchmesh as tm
 from experiments.shared import arguments
-from torchmesh.bench.case import COUNT, Case, families
-from torchmesh.bench.network import CHECKOUT, Mover
+from torchmesh.bench.case import COUNT, Case
+from torchmesh.bench.catalogue import families
+from torchmesh.bench.network import Mover
+from torchmesh.bench.weights import CHECKOUT
 
 
 def examples(first: int, count: int) -> list[Case]:

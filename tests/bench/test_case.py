@@ -6,7 +6,8 @@ import torch
 from exact import inverted
 
 from torchmesh import bench
-from torchmesh.bench.case import COUNT, families
+from torchmesh.bench.case import COUNT
+from torchmesh.bench.catalogue import families
 from torchmesh.bench.exact_check import boundary_is_simple
 from torchmesh.bench.network import Mover
 from torchmesh.mesh.interfaces import holding

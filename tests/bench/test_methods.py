@@ -8,7 +8,7 @@ import torch
 import torchmesh as tm
 from torchmesh import bench
 from torchmesh.bench import registry
-from torchmesh.bench.case import families
+from torchmesh.bench.catalogue import families
 
 NAMES = registry.builtin_methods()
 

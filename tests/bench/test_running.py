@@ -17,6 +17,7 @@ from torchmesh.bench.running import RunOptions
 @pytest.fixture
 def own():
     """Registers methods of a test, and forgets them after it."""
+    registry.builtin_methods()
     known = dict(registry.METHODS)
 
     def register(name, function, **how):
@@ -97,7 +98,7 @@ def test_the_tables_hold_the_rows_and_a_second_run_adds_only_what_is_new(own, tm
 
 
 def test_a_sequence_follows_the_methods_own_meshes_and_any_rows(own):
-    from torchmesh.bench.case import families
+    from torchmesh.bench.catalogue import families
     from torchmesh.bench.solving import solve
 
     case = families()["sequence"].case(0)
@@ -164,7 +165,7 @@ def test_a_file_without_methods_is_told(tmp_path, text, fault):
 
 def test_a_methods_mesh_is_its_own(own):
     """A method that writes into its mesh spoils the case for no other."""
-    from torchmesh.bench.case import families
+    from torchmesh.bench.catalogue import families
     from torchmesh.bench.solving import solve
 
     case = families()["jitter"].case(2)

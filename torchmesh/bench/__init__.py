@@ -16,24 +16,26 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .case import Case, Family, cases, families
+    from .answers import Missing, Refused, Result
+    from .case import Case, Family
+    from .catalogue import cases, families
     from .judging import Verdict, judge
-    from .registry import METHODS, Method, Missing, Refused, Result, builtin_methods, method
+    from .registry import METHODS, Method, builtin_methods, method
     from .running import RunOptions, run
 
 _HOMES = {
-    "families": "case",
+    "families": "catalogue",
     "METHODS": "registry",
     "Case": "case",
     "Family": "case",
     "Method": "registry",
-    "Missing": "registry",
-    "Refused": "registry",
-    "Result": "registry",
+    "Missing": "answers",
+    "Refused": "answers",
+    "Result": "answers",
     "RunOptions": "running",
     "Verdict": "judging",
     "builtin_methods": "registry",
-    "cases": "case",
+    "cases": "catalogue",
     "judge": "judging",
     "method": "registry",
     "run": "running",

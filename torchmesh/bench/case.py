@@ -1,4 +1,4 @@
-"""The cases: tangled meshes in families, of which each has one number that makes it harder.
+"""A case and a family of them, which has one number that makes it harder.
 
     family, number --seeded generator--> undeformed mesh, motion --> tangled mesh
 
@@ -8,7 +8,7 @@ first N cases of a family cover all of them.
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -117,32 +117,3 @@ class Family:
             if found is not None and (found.path or found.inverted or attempt >= _TANGLE_TRIES):
                 return found
         raise RuntimeError(f"{self.name}: case {number} was drawn {_TRIES} times and none had a simple boundary")
-
-
-def _families() -> dict[str, Family]:
-    from .tangles import layered, network_outputs, onto_outlines, thrown, with_bodies
-
-    listed = (*with_bodies.FAMILIES, *thrown.FAMILIES, *onto_outlines.FAMILIES, *layered.FAMILIES)
-    return {family.name: family for family in (*listed, *network_outputs.FAMILIES)}
-
-
-@functools.cache
-def families() -> dict[str, Family]:
-    """All families by name."""
-    return _families()
-
-
-def chosen(names: Sequence[str]) -> list[Family]:
-    """The families of these names, all if there are none.  Raises ValueError for an unknown name."""
-    known = families()
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise ValueError(f"there is no family {', '.join(unknown)}; there are {', '.join(known)}")
-    return [known[name] for name in dict.fromkeys(names)] or list(known.values())
-
-
-def cases(names: Sequence[str] = (), limit: int | None = None) -> Iterator[Case]:
-    """The first `limit` cases of each of the named families; by default all cases of all families."""
-    for family in chosen(names):
-        for number in range(len(family) if limit is None else min(limit, len(family))):
-            yield family.case(number)

@@ -1,4 +1,4 @@
-"""A network that moves a mesh after its boundary, and where its weights are.
+"""A network that moves a mesh after its boundary.
 
 It adds to the harmonic extension of the boundary's displacement what it has learnt (compare Haubner, Hellan, Zeinhofer
 & Kuchta, Learning mesh motion techniques with application to fluid-structure interaction, 2024).  Training is in
@@ -6,7 +6,6 @@ experiments/learning/train_mover.py; the weights lie beside it, and are no part 
 """
 
 import functools
-import os
 from pathlib import Path
 
 import torch
@@ -17,13 +16,7 @@ from ..mesh.connectivity import edges
 from ..mesh.interfaces import holding
 from ..mesh.means import vertex_size
 from ..warping.femwarp import femwarp
-from .registry import Missing
-
-# The environment variable, and the option --weights, that name another file.
-VARIABLE = "TORCHMESH_BENCH_WEIGHTS"
-
-# Where a checkout has the weights.
-CHECKOUT = Path(__file__).parents[2] / "experiments" / "learning" / "weights" / "mover.pt"
+from .weights import weights_file
 
 # What the network sees at a vertex: the harmonic displacement in local widths (2), how the displacements of its
 # neighbours differ from it (4: mean and mean square), whether it is fixed, and the logarithm of its size.
@@ -79,17 +72,6 @@ class Mover(nn.Module):
 def squashed(values: Tensor) -> Tensor:
     """Values of any size brought between -8 and 8 or so, in proportion where they are small."""
     return values.asinh()
-
-
-def weights_file() -> Path:
-    """The file of the weights.  Raises Missing if there is none."""
-    path = Path(os.environ.get(VARIABLE) or CHECKOUT)
-    if not path.is_file():
-        raise Missing(
-            f"{path}: the weights of the network are not there; they are in a checkout of the repository, "
-            "experiments/learning/weights/mover.pt: name the file by --weights"
-        )
-    return path
 
 
 def load(which: str) -> Mover:

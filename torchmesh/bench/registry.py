@@ -9,39 +9,15 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-if TYPE_CHECKING:
-    from ..mesh.batch import MeshBatch
-    from .stopwatch import Seconds
+from .answers import Missing
+from .weights import weights_file
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # The modules of bench/methods, each of which has some of the built-in methods.
 _BUILTIN = ("ours", "tools", "extensions", "networks")
-
-
-class Missing(Exception):
-    """What the method needs is not installed or not found; the message says what to do."""
-
-
-class Refused(Exception):
-    """The method says that it cannot take this mesh."""
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a method may return in place of a mesh.
-
-    mesh     the mesh that it made
-    seconds  the time that counts, if that is not the time of the whole call: a tool's own, without the way of the mesh
-             into its data structures
-    note     what a reader of the results should know, in a few words
-    """
-
-    mesh: "MeshBatch"
-    seconds: "Seconds | None" = None
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,8 +49,6 @@ class Method:
             if importlib.util.find_spec(name) is None:
                 raise Missing(f"{self.name} needs {name}: pip install 'torchmesh-untangle[bench,peers]'")
         if self.weights:
-            from .network import weights_file
-
             weights_file()
 
 

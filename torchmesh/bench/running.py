@@ -10,11 +10,14 @@ from typing import Any
 
 from ..errors import MeshIOError
 from . import registry, results
-from .case import Case, Family, families
-from .case import chosen as chosen_families
+from .answers import Missing
+from .case import Case, Family
+from .catalogue import chosen as chosen_families
+from .catalogue import families
 from .provenance import provenance
-from .registry import Method, Missing
+from .registry import Method
 from .results import Row
+from .weights import weights_file
 from .worker import Worker
 
 
@@ -103,8 +106,6 @@ def _present(methods: list[Method], say: Callable[[str], None]) -> list[Method]:
 
 def _drawable(listed: list[Family], say: Callable[[str], None]) -> list[Family]:
     """The families whose weights are there; the others are named.  Raises ValueError if there are none."""
-    from .network import weights_file
-
     found = []
     for family in listed:
         try:

@@ -10,9 +10,10 @@ import torch
 
 from ..mesh.batch import MeshBatch
 from ..warping.femwarp import femwarp
+from .answers import Missing, Refused, Result
 from .case import Case
 from .judging import Verdict, judge
-from .registry import Method, Missing, Refused, Result
+from .registry import Method
 from .stopwatch import Seconds, Stopwatch
 
 

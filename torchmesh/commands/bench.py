@@ -102,7 +102,7 @@ def show(weights: WeightsOption = None) -> int:
     """List the methods, whether their libraries are installed, and the families of cases."""
     _use_weights(weights)
     from ..bench import registry
-    from ..bench.case import families
+    from ..bench.catalogue import families
 
     table = console.table("methods")
     for head in ("name", "what it is", "can run"):
@@ -132,7 +132,7 @@ def _use_weights(path: Path | None) -> None:
         return
     if not path.is_file():
         raise UsageError(f"{path}: there is no such file of weights")
-    from ..bench.network import VARIABLE
+    from ..bench.weights import VARIABLE
 
     os.environ[VARIABLE] = str(path)
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from experiments.shared.peers.delaunay import libigl, scipy_delaunay
+from torchmesh.bench.answers import Missing, Refused
 from torchmesh.bench.methods.foldover_free_maps import foldover_free
 from torchmesh.bench.methods.gmsh_winslow import gmsh
 from torchmesh.bench.methods.mfem_tmop import mfem, mfem_best
 from torchmesh.bench.methods.mouette_winslow import mouette
 from torchmesh.bench.methods.outcome import Outcome
-from torchmesh.bench.registry import Missing, Refused
 
 PEERS: dict[str, Callable[..., Outcome]] = {
     "gmsh": gmsh,

@@ -6,7 +6,8 @@ tangled, as by jitter, the boundary's displacement is zero, and these methods gi
 
 from typing import TYPE_CHECKING, Any
 
-from ..registry import Refused, Result, method
+from ..answers import Refused, Result
+from ..registry import method
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from ...mesh import connectivity
-from ..registry import Refused
+from ..answers import Refused
 from ..stopwatch import Seconds, Stopwatch
 from .outcome import Outcome, need
 

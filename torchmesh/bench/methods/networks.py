@@ -2,7 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from ..registry import Refused, Result, method
+from ..answers import Refused, Result
+from ..registry import method
 
 if TYPE_CHECKING:
     from torch import Tensor

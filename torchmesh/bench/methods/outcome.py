@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..registry import Missing
+from ..answers import Missing
 from ..stopwatch import Seconds
 
 Array = np.ndarray

@@ -7,7 +7,8 @@ them.  Where a tool cannot hold what the mesh holds, it is not asked.
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ..registry import Refused, Result, method
+from ..answers import Refused, Result
+from ..registry import method
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -1,0 +1,31 @@
+"""What a method may answer in place of a mesh."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..mesh.batch import MeshBatch
+    from .stopwatch import Seconds
+
+
+class Missing(Exception):
+    """What the method needs is not installed or not found; the message says what to do."""
+
+
+class Refused(Exception):
+    """The method says that it cannot take this mesh."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a method may return in place of a mesh.
+
+    mesh     the mesh that it made
+    seconds  the time that counts, if that is not the time of the whole call: a tool's own, without the way of the mesh
+             into its data structures
+    note     what a reader of the results should know, in a few words
+    """
+
+    mesh: "MeshBatch"
+    seconds: "Seconds | None" = None
+    note: str = ""
