@@ -17,16 +17,16 @@ from file_contents import ALL, N, grid, grid_arrays, load, moved, save
 from torchmesh import MeshBatch
 from torchmesh.errors import InvalidMeshError, MeshError, MeshIOError, MeshWarning
 from torchmesh.files import atomic
-from torchmesh.files.formats.meshio_formats import MeshioFormat
 from torchmesh.files.formats.registry import FORMATS
+from torchmesh.files.formats.vtu import VtkXmlFormat
 from torchmesh.files.mesh_files import read, write
 
 # How far off coordinates may be in formats that do not keep every bit: Nastran's columns have 16 characters.
 INEXACT = {"nastran": 1e-9}
 
 # Which of the grid's content a format gives back; the table in the README says the same.
-HOLDS_POINT_DATA = {"vtu", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
-HOLDS_REGIONS = {"vtu", "vtk", "gmsh", "xdmf", "med", "obj", "medit", "nastran", "netgen", "avsucd"}
+HOLDS_POINT_DATA = {"vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
+HOLDS_REGIONS = {"vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "obj", "medit", "nastran", "netgen", "avsucd"}
 HOLDS_REGIONS |= {"freefem", "mfem", "triangle", "sms", "comsol"}
 HOLDS_LINES = {*HOLDS_REGIONS, "su2", "abaqus", "mdpa", "permas", "adcirc"} - {"avsucd"}
 
@@ -135,7 +135,7 @@ def broken(tmp_path: Path, case: str) -> Path:
         ("empty", MeshIOError, "the file is empty"),
         ("truncated", MeshIOError, "cannot be read as vtu"),
         ("another format", MeshIOError, "cannot be read as vtu"),
-        ("extension", MeshIOError, r"extension '\.xyz' is not known; known ones are \.vtu \.vtk \.msh"),
+        ("extension", MeshIOError, r"extension '\.xyz' is not known; known ones are \.vtu \.vtp \.vtk \.msh"),
         ("no extension", MeshIOError, "no extension"),
         ("nan", InvalidMeshError, "points row 7 .*finite"),
         ("off the plane", InvalidMeshError, "points row .* off the plane.*no map of a plane: it bends over at"),
@@ -194,7 +194,7 @@ def test_an_unreadable_file_says_so(tmp_path, monkeypatch):
     def denied(*_):
         raise PermissionError(errno.EACCES, "Permission denied")  # root may read anything: pretend
 
-    monkeypatch.setattr(MeshioFormat, "read", denied)
+    monkeypatch.setattr(VtkXmlFormat, "read", denied)
     with pytest.raises(MeshIOError, match=r"a\.vtu: cannot be read: Permission denied"):
         read(path)
 
@@ -234,7 +234,7 @@ def test_a_failed_write_leaves_no_trace(tmp_path, monkeypatch, mesh, failure, ex
     if existing:
         target.write_text("precious")
     write_badly, text = FAILURES[failure]
-    monkeypatch.setattr(meshio.vtu, "write", write_badly)
+    monkeypatch.setattr(VtkXmlFormat, "write", lambda _, path, *__: write_badly(path))
     with pytest.raises(MeshIOError, match=rf"a\.vtu: {text}"):
         write(target, mesh)
     assert os.listdir(tmp_path) == (["a.vtu"] if existing else [])

@@ -27,6 +27,21 @@ def test_an_unknown_extension_is_told_with_the_known_ones():
         format_of(Path("a.xyz"))
 
 
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("a.vts", "a structured grid; save it as .vtu"),
+        ("a.vtuu", "the nearest one is .vtu"),
+        ("a.step", "a geometry; mesh it and save it as .msh"),
+        ("a.h5", r"arrays that belong to an .xdmf file; give that \(a.xdmf\)"),
+    ],
+)
+def test_the_nearest_format_that_would_do_is_named(tmp_path, name, hint):
+    (tmp_path / "a.xdmf").touch()
+    with pytest.raises(MeshIOError, match=f"is not known: {hint}; known ones are"):
+        format_of(tmp_path / name)
+
+
 @dataclass(frozen=True)
 class Marked(MeshioFormat):
     """A format whose files begin with a mark."""

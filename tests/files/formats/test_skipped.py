@@ -116,7 +116,9 @@ def test_vtu_and_xdmf(tmp_path):
     path = save(tmp_path / "a.vtu", grid())
     text = path.read_text().replace("<Points>", "<!-- mine --><Points>").replace("<PointData", '<PointData Scalars="u"')
     path.write_text(text)
-    assert lost(path, tmp_path / "b.vtu") == ["comments", "the active Scalars 'u'"]
+    assert lost(path, tmp_path / "b.vtp") == ["comments", "the active Scalars 'u'"]
+    assert lost(path, tmp_path / "b.vtu") == []  # the file is changed in place
+    assert "<!-- mine --><Points>" in (tmp_path / "b.vtu").read_text()
     strings = b'<FieldData><Array type="String" Name="case" format="ascii">65</Array></FieldData>'
     assert "the text 'case'" in skipped.in_xml(strings, "vtu")
     meshio.write(tmp_path / "a.xdmf", grid(), data_format="XML")

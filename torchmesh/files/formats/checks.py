@@ -5,11 +5,10 @@ Each check takes the bytes of a file and raises ValueError.
 
 import re
 import xml.etree.ElementTree as ET
-import zlib
 
 import numpy as np
 
-from ..swelling import allowed, check_swelling, inflated
+from ..swelling import check_swelling
 
 
 def check_ply(data: bytes) -> None:
@@ -84,31 +83,6 @@ def check_vtk(data: bytes) -> None:
     for words in re.findall(rb"^DIMENSIONS\s+(\d+)\s+(\d+)\s+(\d+)", data, re.M):
         count = int(words[0]) * int(words[1]) * int(words[2])
         check_swelling(24 * count, len(data))
-
-
-def check_raw_vtu(data: bytes) -> None:
-    """Compressed data that is appended raw, which meshio unpacks at once, must not swell."""
-    start = re.search(rb"<AppendedData[^>]*encoding\s*=\s*[\"']raw[\"'][^>]*>\s*_", data)
-    compressor = re.search(rb"<VTKFile[^>]*compressor\s*=\s*[\"'](\w+)[\"']", data[:4096])
-    if start is None or compressor is None:
-        return
-    wide = re.search(rb"<VTKFile[^>]*header_type\s*=\s*[\"']UInt64[\"']", data[:4096]) is not None
-    big = re.search(rb"<VTKFile[^>]*byte_order\s*=\s*[\"']BigEndian[\"']", data[:4096]) is not None
-    kind = np.dtype(f"{'>' if big else '<'}u{8 if wide else 4}")
-    end = data.rfind(b"</AppendedData>")
-    raw, at, left = data[start.end() : end], 0, allowed(len(data))
-    while at + 3 * kind.itemsize <= len(raw):
-        blocks = int(np.frombuffer(raw, kind, 1, at)[0])
-        if not 0 <= (3 + blocks) * kind.itemsize <= len(raw) - at:
-            break
-        lengths = np.frombuffer(raw, kind, 3 + blocks, at)[3:].tolist()
-        at += (3 + blocks) * kind.itemsize
-        for length in lengths:
-            try:
-                left -= len(inflated(raw[at : at + length], compressor[1].decode(), left))
-            except zlib.error:
-                return  # meshio says what is wrong with it
-            at += length
 
 
 def _fits(what: str, count: int, least: int, data: bytes) -> None:

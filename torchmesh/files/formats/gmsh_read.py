@@ -41,7 +41,10 @@ def read(path: Path) -> tuple[meshio.Mesh, MshFile | None]:
 
     Raises ValueError if it is not a complete .msh file.
     """
-    sections = _sections(path.read_bytes())
+    data = path.read_bytes()
+    if data.lstrip()[:1] == b"(":
+        raise ValueError("it looks like a mesh of Fluent; save it as .su2, or as one of Gmsh's")
+    sections = _sections(data)
     named = dict(reversed(sections))
     if "MeshFormat" not in named:
         raise ValueError("it does not begin with $MeshFormat")

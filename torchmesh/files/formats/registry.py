@@ -1,5 +1,6 @@
 """The formats that torchmesh reads and writes, by name and by extension."""
 
+import difflib
 from pathlib import Path
 
 from ...errors import MeshIOError
@@ -19,11 +20,12 @@ from .sms import SMS
 from .su2 import SU2
 from .triangle import TRIANGLE
 from .vtk import VTK
-from .vtu import VTU
+from .vtu import VTP, VTU
 from .xdmf import XDMF
 
 _ALL = (
     VTU,
+    VTP,
     VTK,
     GMSH,
     XDMF,
@@ -73,10 +75,28 @@ def known_extensions() -> list[str]:
     return list(dict.fromkeys(extension for form in FORMATS.values() for extension in form.extensions))
 
 
+# What files with extensions of other kinds are, and which format would do.
+_HINTS = {
+    **dict.fromkeys((".vts", ".vtr", ".vti"), "a structured grid; save it as .vtu"),
+    **dict.fromkeys((".pvtu", ".pvtp"), "a list of pieces; give a piece, or save all as one .vtu"),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), "arrays that belong to an .xdmf file; give that"),
+    **dict.fromkeys((".geo", ".brep", ".step", ".stp", ".iges", ".igs"), "a geometry; mesh it and save it as .msh"),
+    **dict.fromkeys((".npy", ".npz", ".pt"), "arrays; make a mesh of them by MeshBatch.from_arrays"),
+    **dict.fromkeys((".cas", ".neu", ".ccm", ".foam"), "a mesh of a flow solver; save it as .su2 or .vtu"),
+    **dict.fromkeys((".jou", ".edp", ".py", ".m"), "a program; run it and save its mesh as .msh or .vtu"),
+    ".gmsh": "perhaps Gmsh's; give it the extension .msh",
+}  # fmt: skip
+
+
 def _formats_of(path: Path) -> list[Format]:
-    found = [form for form in FORMATS.values() if path.suffix.lower() in form.extensions]
+    suffix = path.suffix.lower()
+    found = [form for form in FORMATS.values() if suffix in form.extensions]
     if not found:
-        problem = f"the extension {path.suffix!r} is not known"
-        problem = problem if path.suffix else "it has no extension to tell its format"
-        raise MeshIOError(f"{path}: {problem}; known ones are {' '.join(known_extensions())}")
+        problem = f"the extension {path.suffix!r} is not known" if suffix else "it has no extension to tell its format"
+        known = known_extensions()
+        near = difflib.get_close_matches(suffix, known, 1, 0.7)
+        hint = _HINTS.get(suffix, f"the nearest one is {near[0]}" if near else "")
+        beside = next((p.name for p in (path.with_suffix(".xdmf"),) if suffix and "xdmf" in hint and p.is_file()), "")
+        hint = f"{hint} ({beside})" if beside else hint
+        raise MeshIOError(f"{path}: {problem}{': ' if hint else ''}{hint}; known ones are {' '.join(known)}")
     return found
