@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import fields
 import meshes
 import meshio
 import numpy as np
@@ -79,6 +80,37 @@ def mine(mesh):
 """
 
 
+def channel(rings: int = 6, quads: int = 2, around: int = 12) -> meshio.Mesh:
+    """A plate round a hole: so many rings of quads on the hole, which is called cylinder, then triangles."""
+    angle = 2 * np.pi * np.arange(around) / around
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    points = np.concatenate([(1 + 0.5 * k) * circle for k in range(rings + 1)])
+    i = np.arange(around)
+    j = (i + 1) % around
+    cells = [np.stack([i, i + around, j + around, j], 1) + k * around for k in range(rings)]
+    rest = np.concatenate(cells[quads:])
+    blocks = [
+        ("line", np.stack([i, j], 1)),
+        ("triangle", np.concatenate([rest[:, [0, 1, 2]], rest[:, [0, 2, 3]]])),
+        ("quad", np.concatenate(cells[:quads])),
+    ]
+    groups = [np.full(len(data), 1 if kind == "line" else 2) for kind, data in blocks]
+    return meshio.Mesh(
+        points, blocks, cell_data={"gmsh:physical": groups, "gmsh:geometrical": groups},
+        field_data={"cylinder": np.array([1, 1]), "fluid": np.array([2, 2])},
+    )  # fmt: skip
+
+
+def run_of(count: int = 3) -> list[meshio.Mesh]:
+    """A hole that moves through its mesh, step by step."""
+    steps = []
+    for step in range(count):
+        mesh = meshes.moved_hole(2.0 * step)
+        points = np.pad(mesh.points.numpy(), ((0, 0), (0, 1)))
+        steps.append(meshio.Mesh(points, [("triangle", mesh.triangles.numpy())], point_data={"u": points[:, 0]}))
+    return steps
+
+
 def write_examples(folder: Path) -> None:
     """The files that the examples of the help texts name."""
     for name in ("tangled.vtu", "tangled.vtk", "tangled.msh"):
@@ -92,6 +124,8 @@ def write_examples(folder: Path) -> None:
     write(folder / "stretched.vtu", tangled.with_points(tangled.points * tangled.points.new_tensor([4.0, 1.0])))
     write(folder / "regions.msh", meshes.dragged_interface())
     write(folder / "better.vtu", meshes.equilateral())
+    channel().write(folder / "channel.msh", file_format="gmsh22", binary=False)
+    fields.write_steps(folder / "run.xdmf", run_of())
     bed = meshes.moved_hole()
     heights = np.sin(3 * bed.points[:, :1].numpy())
     meshio.Mesh(np.hstack([bed.points.numpy(), heights]), [("triangle", bed.triangles.numpy())]).write(

@@ -14,8 +14,8 @@ def test_warp_lists_the_parts_of_the_boundary(call):
     done = call("warp", "plate.msh", "--list")
     assert (done.status, done.err) == (0, "")
     rows = [line.split() for line in done.out.splitlines()]
-    assert ["outer:1", "40", "0", "1", "0", "1"] in rows
-    assert ["hole:1", "16", "0.3", "0.7", "0.3", "0.7"] in rows
+    assert ["outer:1", "40", "0", "1", "0", "1", "4", "loop", "40", "triangles"] in rows
+    assert ["hole:1", "16", "0.3", "0.7", "0.3", "0.7", "1.6", "loop", "16", "triangles"] in rows
 
 
 def moved(folder: Path) -> np.ndarray:
@@ -155,3 +155,47 @@ def test_warp_carries_what_is_near_a_part_as_one_body(call, folder):
 def test_warp_refuses_bodies_that_are_none(call, wrong, said):
     done = call("warp", "plate.msh", "out.vtu", "--move", "hole:1:0.1,0", *wrong)
     assert is_one_clear_line(done, said)
+
+
+def cells_of(path: Path, kind: str) -> np.ndarray:
+    return np.concatenate([block.data for block in meshio.read(path).cells if block.type == kind])
+
+
+def test_a_part_of_the_file_moves_by_its_name_with_its_layers_of_quads(call, folder):
+    given = meshio.read(folder / "channel.msh")
+    quads = np.unique(cells_of(folder / "channel.msh", "quad"))
+    assert call("warp", "channel.msh", "out.msh", "--move", "cylinder:0.2,0.1").status == 0
+    by = meshio.read(folder / "out.msh").points - given.points
+    assert by[quads] == pytest.approx(np.tile([0.2, 0.1, 0], (len(quads), 1)))
+    assert call("warp", "channel.msh", "out.msh", "--rotate", "cylinder:30").status == 0
+    turned = meshio.read(folder / "out.msh").points
+    assert np.linalg.norm(turned[quads], axis=1) == pytest.approx(np.linalg.norm(given.points[quads], axis=1))
+    assert np.linalg.norm(turned[quads] - given.points[quads], axis=1).min() > 0.4
+    # A larger hole pushes its layers outwards, and these keep their heights.
+    assert call("warp", "channel.msh", "out.msh", "--scale", "cylinder:1.2").status == 0
+    scaled = np.linalg.norm(meshio.read(folder / "out.msh").points[quads], axis=1)
+    assert scaled - np.linalg.norm(given.points[quads], axis=1) == pytest.approx(0.2)
+
+
+def test_scales_for_each_axis_and_from_a_point(call, folder):
+    points, (hole, _) = plate()[0], parts()
+    assert call("warp", "plate.msh", "out.vtu", "--scale", "hole:1:1.2,0.9").status == 0
+    assert points[hole] + moved(folder)[hole] == pytest.approx(0.5 + (points[hole] - 0.5) * [1.2, 0.9])
+    assert call("warp", "plate.msh", "out.vtu", "--scale", "hole:1:1.1:0.3,0.3").status == 0
+    assert points[hole] + moved(folder)[hole] == pytest.approx(0.3 + (points[hole] - 0.3) * 1.1)
+    for wrong, text in (
+        ("hole:1", "expected hole:N:FACTOR"),
+        ("hole:1:-1", "must be positive"),
+        ("hole:1:a", "'a' is"),
+    ):
+        assert is_one_clear_line(call("warp", "plate.msh", "out.vtu", "--scale", wrong), text)
+
+
+def test_the_list_says_what_lies_on_each_part(call, folder):
+    rows = [line.split() for line in call("warp", "channel.msh", "--list").out.splitlines()]
+    row = next(row for row in rows if row[:1] == ["cylinder"])
+    assert row[1] == "12"
+    assert row[7:] == ["lines", "12", "quads;", "24", "vertices", "of", "layers", "go", "along"]
+    assert is_one_clear_line(
+        call("warp", "channel.msh", "x.msh", "--move", "cylindre:1,0"), "only outer:1, hole:1, cyl"
+    )

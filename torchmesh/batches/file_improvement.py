@@ -17,9 +17,8 @@ import torch
 
 from ..files.field_transfer import FieldChoice, FieldSummary, check_choice
 from ..files.mesh_files import held
-from ..files.source import Source
 from ..files.surface import HeightChoice, check_height
-from ..files.time_series import Series, SeriesDraft, draft_series
+from ..files.time_series import Series, SeriesDraft, draft_series, read_series
 from ..improving.options import ImproveOptions
 from ..improving.pipeline import improve
 from ..improving.report import Progress, Report
@@ -29,14 +28,18 @@ from ..mesh.vertex_map import VertexMap
 
 
 def open_mesh(path: str | os.PathLike[str], regions: str | None = None) -> Series:
-    """A file that holds one mesh, as a series of one step; raises and warns as `torchmesh.read` does.
+    """A file as the series of its steps, of which most files have one; raises and warns as `torchmesh.read` does.
 
     regions  what tells the regions, as for `torchmesh.read`
-
-    Unlike `read_series`, this refuses a time series.
     """
-    source = Source.open(path, regions)
-    return Series(source.mesh, [0.0], [0], [source])
+    return read_series(path, regions=regions)
+
+
+def quad_counts(given: Series, batch: MeshBatch) -> tuple[int, int]:
+    """How many quads the meshes of a file have, and how many of them are inverted where the vertices of `batch` are."""
+    meshes = zip(given.first_sources(), batch.split(), strict=True)
+    counts = [(len(source.quads), len(source.inverted_quads(mesh.points))) for source, mesh in meshes]
+    return sum(count for count, _ in counts), sum(inverted for _, inverted in counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,13 @@ class ImprovedFile:
                 points = points[self.vertex_maps[b].old_to_new.clamp_min(0)]
             count += len(source.inverted_quads(points))
         return count
+
+    def message(self) -> str:
+        """Why the improvement ended, of the first mesh that is not valid, or of the first one."""
+        failed = (~self.report.valid[self.rows]).nonzero().squeeze(1).tolist()
+        first = failed[0] if failed else 0
+        which = f"{self.given.names()[first]}: " if len(self.meshes) > 1 else ""
+        return which + self.report.messages[self.rows.start + first]
 
     def draft(self, path: str | os.PathLike[str]) -> SeriesDraft:
         """The file with the improved meshes in their steps, ready to be written; raises as `write_series` does.

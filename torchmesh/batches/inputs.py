@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..errors import MeshIOError
 from ..files.formats.registry import format_of, known_extensions
+from ..files.pvd import PVD, is_pvd, pvd_steps
 from .batches import Job
 from .folder_lock import STAGING
 
@@ -23,7 +24,8 @@ def find_jobs(paths: Paths, out: Path, suffix: str | None) -> list[Job]:
     """
     if suffix is not None:
         suffix = suffix if suffix.startswith(".") else f".{suffix}"
-        format_of(Path(f"*{suffix}"))
+        if suffix.lower() != PVD:
+            format_of(Path(f"*{suffix}"))
     files, root = _given_files(paths, out)
     jobs: dict[str, Job] = {}
     for absolute, file in sorted(files.items()):
@@ -73,9 +75,7 @@ def _matches(path: str, results: str) -> tuple[str, list[str]]:
     if os.path.isfile(path):
         return os.path.dirname(path), [path]
     if os.path.isdir(path):
-        known = known_extensions()
-        found = [os.path.join(path, file) for file in files_below(path, results)]
-        return path, [f for f in found if os.path.splitext(f)[1].lower() in known and os.path.isfile(f)]
+        return path, _sorted_out(path, results)[0]
     if not glob.has_magic(path):
         return os.path.dirname(path), []
     root = path
@@ -96,6 +96,34 @@ def _matches(path: str, results: str) -> tuple[str, list[str]]:
         if _fits(file.split(os.sep), pattern)
     ]
     return root, [f for f in found if os.path.isfile(f)]
+
+
+def skipped_files(paths: Paths, out: Path) -> list[str]:
+    """The files in the folders among the paths that are no inputs, because their extension is no mesh format's."""
+    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    results = os.path.abspath(out)
+    folders = [os.fspath(path) for path in given if os.path.isdir(path)]
+    return sorted({file for folder in folders for file in _sorted_out(folder, results)[1]})
+
+
+def _sorted_out(folder: str, results: str) -> tuple[list[str], list[str]]:
+    """The mesh files below a folder, and the other files.
+
+    The steps of a collection (.pvd) and the data of an XDMF file are part of these, and stand in neither list.
+    """
+    known = {*known_extensions(), PVD}
+    found = [os.path.join(folder, file) for file in files_below(folder, results)]
+    found = [file for file in found if os.path.isfile(file)]
+    parts: set[str] = set()
+    for file in found:
+        if is_pvd(Path(file)):
+            with contextlib.suppress(MeshIOError):  # which is said when it is read
+                parts.update(os.path.abspath(step) for _, step in pvd_steps(Path(file)))
+        elif file.lower().endswith((".xdmf", ".xmf")):
+            parts.update(os.path.abspath(os.path.splitext(file)[0] + end) for end in (".h5", ".hdf5", ".bin"))
+    found = [file for file in found if os.path.abspath(file) not in parts]
+    meshes = [file for file in found if os.path.splitext(file)[1].lower() in known]
+    return meshes, [file for file in found if os.path.splitext(file)[1].lower() not in known]
 
 
 def files_below(folder: str, results: str = "") -> list[str]:

@@ -28,7 +28,7 @@ from . import manifest
 from .batches import Job, fingerprint
 from .crew import Crew
 from .folder_lock import locked_folder
-from .inputs import Paths, find_jobs
+from .inputs import Paths, find_jobs, skipped_files
 from .local_worker import LocalWorker
 from .manifest import FileResult
 from .ray_worker import RayWorker, ray_cluster
@@ -90,6 +90,7 @@ class Run:
     changed   why results of earlier runs do not hold, and how many for each reason
     fields    what becomes of the fields of the files
     regions   what tells the regions of the files
+    skipped   files in the folders given that are no mesh files
     """
 
     out: Path
@@ -103,6 +104,7 @@ class Run:
     changed: dict[str, int] = field(default_factory=dict)
     fields: FieldChoice = "interpolate"
     regions: str | None = None
+    skipped: list[str] = field(default_factory=list)
 
     @classmethod
     def plan(
@@ -123,6 +125,7 @@ class Run:
         options, out = options or ImproveOptions(), Path(out)
         _check_arguments(options, engine, workers, budget)
         check_choice(fields)
+        paths = paths if isinstance(paths, str | os.PathLike) else list(paths)
         jobs = [dataclasses.replace(job, strict=strict, regions=regions) for job in find_jobs(paths, out, suffix)]
         if out.exists() and not out.is_dir():
             raise MeshIOError(f"{out}: is not a folder")
@@ -139,7 +142,20 @@ class Run:
             else:
                 kept.append(result)
         left.sort(key=lambda job: (-job.size, job.name))  # a large one at the end would leave other workers idle
-        return cls(out, options, engine, workers, budget, kept, left, strict, changed, fields, regions)
+        return cls(
+            out,
+            options,
+            engine,
+            workers,
+            budget,
+            kept,
+            left,
+            strict,
+            changed,
+            fields,
+            regions,
+            skipped_files(paths, out),
+        )
 
     def results(self) -> Iterator[FileResult]:
         """The kept results, then the others as they are made; each is in the manifest before it is given."""

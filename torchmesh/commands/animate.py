@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import console
-from .observation import observe
+from .observation import improve_all, observe, step_to_show
 from .shared_options import (
     BeforeArgument,
     BetaOption,
@@ -24,6 +24,7 @@ from .shared_options import (
     ScopeOption,
     Shapes,
     ShapesOption,
+    StepOption,
     TitleOption,
     Topology,
     TopologyOption,
@@ -46,12 +47,14 @@ def animate(
     shapes: ShapesOption = Shapes.auto,
     beta: BetaOption = None,
     regions: RegionsOption = None,
+    step: StepOption = None,
     quiet: QuietOption = False,
 ) -> int:
     """Improve a mesh and write a film of it: the whole mesh and its worst place, stage by stage.
 
-    Between two stages that differ in the vertices' positions only, the vertices glide in straight lines. A gif needs
-    matplotlib, an mp4 also imageio-ffmpeg (pip install 'torchmesh-untangle\\[video]'). No mesh is written.
+    Of a time series (XDMF, .pvd) the film shows the improved steps one after another, or, with --step, the stages of
+    one. Between two stages that differ in the vertices' positions only, the vertices glide in straight lines. A gif
+    needs matplotlib, an mp4 also imageio-ffmpeg (pip install 'torchmesh-untangle\\[video]'). No mesh is written.
 
     The exit status is 1 if the mesh ends with inverted triangles.
     """
@@ -62,9 +65,15 @@ def animate(
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     check_distinct(source, film)
     check_film_path(film)
-    observed = observe(open_mesh(source, regions), options, quiet)
-    write_film(film, observed.stages, title=title or source.name)
+    given = open_mesh(source, regions)
+    if len(given) > 1 and step is None:
+        improved, noun = improve_all(given, options, quiet), "step"
+        names = [f"time {time:g}" for time in given.times]
+        shown = [(name, improved.meshes[m]) for name, m in zip(names, given.mesh_of_step, strict=True)]
+    else:
+        observed, noun = observe(given.only(step_to_show(given, step)), options, quiet), "stage"
+        improved, shown = observed.improved, observed.stages
+    write_film(film, shown, title=title or source.name)
     if not quiet:
-        stages = console.counted(len(observed.stages), "stage")
-        typer.echo(f"{film}: {stages}, {film.stat().st_size / 1e6:.1f} MB")
-    return console.verdict("left", observed.report.quality, observed.report.messages[0])
+        typer.echo(f"{film}: {console.counted(len(shown), noun)}, {film.stat().st_size / 1e6:.1f} MB")
+    return console.verdict("left", improved.report.quality, improved.message())

@@ -103,6 +103,9 @@ def batch(
 ) -> int:
     """Improve many mesh files, as torchmesh improve does, on all processors.
 
+    Files in a folder that are of no mesh format are skipped, and named. Of a time series (XDMF, .pvd) every step is
+    improved.
+
     DIR/manifest.jsonl gets a line for each mesh as soon as it is done: file, output, status, inverted triangles and
     IMR before and after, what became of its fields, seconds, error; DIR/manifest.parquet is the same table, written at
     the end. A file that cannot be read is an error in the manifest, and the rest goes on.
@@ -122,6 +125,9 @@ def batch(
         )
     except ValueError as error:
         raise UsageError(str(error)) from None
+    if run.skipped and not quiet:
+        names = ", ".join(run.skipped[:_SHOWN]) + (", ..." if len(run.skipped) > _SHOWN else "")
+        console.say(f"skipped: {console.counted(len(run.skipped), 'file')} of no mesh format: {names}")
     for reason, count in run.changed.items():
         console.say(f"done again: {console.counted(count, 'mesh', 'meshes')} ({reason})")
     return _run(run, quiet)

@@ -218,20 +218,21 @@ def verdict(where: str, q: "Quality", message: str = "", quads: int = 0) -> int:
 
 
 def record(mesh: "MeshBatch", q: "Quality", quads: tuple[int, int] | None = None) -> dict[str, Any]:
-    """Counts and quality of a batch of one mesh, as plain values.
+    """Counts and quality of the meshes of a file, all together, as plain values.
 
     quads  how many quads the file has, and how many of them are inverted; None or (0, 0): it has none
     """
     from ..mesh.measure import minimum_angle
 
+    sizes = mesh.triangle_offsets.diff().double()
     return {
         "triangles": len(mesh.triangles),
         "vertices": len(mesh.points),
         "inverted": int(q.inverted.sum()),
         **({"quads": quads[0], "inverted_quads": quads[1]} if quads is not None and quads[0] else {}),
-        "imr_average": float(q.mean[0]),
-        "imr_maximum": float(q.max[0]),
-        "minimum_angle": float(minimum_angle(mesh)[0]),
+        "imr_average": float(q.mean[0] if len(mesh) == 1 else q.mean.double() @ (sizes / sizes.sum())),
+        "imr_maximum": float(q.max.max()),
+        "minimum_angle": float(minimum_angle(mesh).min()),
     }
 
 

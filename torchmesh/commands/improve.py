@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from ..files.time_series import SeriesDraft
     from ..improving.report import Report
     from ..mesh.batch import MeshBatch
+    from ..mesh.measure import Quality
     from ..mesh.regions import RegionAreas
 
 EXAMPLES = (
@@ -61,6 +62,7 @@ EXAMPLES = (
     "torchmesh improve moved.vtu better.vtu --reference undeformed.vtu",
     "torchmesh improve tangled.vtk better.vtk --method paper --beta 0.01",
     "torchmesh improve plate.inp better.inp --strict",
+    "torchmesh improve run.xdmf better.xdmf",
     "torchmesh improve terrain.vtk better.vtk --height keep",
 )
 
@@ -120,9 +122,11 @@ def improve(
 
     Decks of solvers (Abaqus and CalculiX .inp, Nastran .bdf, Kratos .mdpa, Exodus .e) are
     changed in place: moved nodes, flipped elements and the sides that loads act on are written anew, and every other
-    line stays. What OUT cannot hold of IN is named on standard error.
+    line stays. What OUT cannot hold of IN is named on standard error. Of a time series (XDMF, .pvd) every step is
+    improved.
     """
     from ..batches.file_improvement import improve_series, open_mesh
+    from ..files.time_series import check_steps
 
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
     target = target_of(source, target, in_place)
@@ -131,6 +135,7 @@ def improve(
 
     started = time.perf_counter()
     given = open_mesh(source, regions)
+    check_steps(target, len(given))
     if reference is not None:
         options = replace(options, reference=_in_the_same_plane(reference, given.batch))
     with console.progress(quiet) as show:
@@ -157,40 +162,87 @@ def improve(
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
             **columns,
-            **_outcome(improved.report, quads),
+            **_outcome(improved, quads),
         }
-        _write(improved, draft, report, document, plot, f"{source.name}: before and after")
+        _write(improved, draft, report, document, plot, source.name)
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
+        if len(improved.meshes) > 1:
+            _print_steps(improved)
         _print_notes(improved.report, draft)
         _print_told_by(improved.given.sources[0])
-    return console.verdict(f"in {target}", improved.report.quality, improved.report.messages[0], quads)
+    return console.verdict(f"in {target}", improved.report.quality, improved.message(), quads)
 
 
 def _columns(improved: "ImprovedFile") -> dict[str, dict[str, Any]]:
-    """The figures of the mesh before and after."""
-    (read,) = improved.given.sources
-    quads = len(read.quads)
+    """The figures of the meshes before and after, those of all steps together."""
+    from ..batches.file_improvement import quad_counts
+    from ..mesh.batch import join
+
+    quads = quad_counts(improved.given, improved.given.batch)
+    after = join(improved.meshes)
     return {
-        "before": console.record(improved.given.batch, improved.before, (quads, len(read.inverted_quads()))),
-        "after": console.record(improved.meshes[0], improved.report.quality, (quads, improved.inverted_quads())),
+        "before": console.record(improved.given.batch, improved.before, quads),
+        "after": console.record(after, improved.report.quality, (quads[0], improved.inverted_quads())),
     }
 
 
-def _outcome(report: "Report", quads: int) -> dict[str, Any]:
-    """The record of the report on the one mesh; with inverted quads the mesh is neither valid nor certified."""
-    record = {key: value for key, value in report.to_dict()[0].items() if key != "mesh"}
+def _outcome(improved: "ImprovedFile", quads: int) -> dict[str, Any]:
+    """The record of the report on the one mesh; with inverted quads the mesh is neither valid nor certified.
+
+    Of a time series: whether all are valid and certified, and the record of each mesh with its steps.
+    """
+    records = [{key: value for key, value in one.items() if key != "mesh"} for one in improved.report.to_dict()]
+    record = records[0]
+    if len(records) > 1:
+        steps = [dict(zip(("time_steps", "times"), _steps_of(improved, m), strict=True)) for m in range(len(records))]
+        record = {
+            "valid": all(one["valid"] for one in records),
+            "certified": all(one["certified"] for one in records),
+            "message": improved.message(),
+            "meshes": [one | own for one, own in zip(steps, records, strict=True)],
+        }
     if quads:
         record |= {"valid": False, "certified": False, "message": f"{record['message']}; {console.QUADS_STAY}"}
     return record
 
 
+def _steps_of(improved: "ImprovedFile", mesh: int) -> tuple[list[int], list[float]]:
+    """The steps that have this mesh, and their times."""
+    steps = [step for step, of in enumerate(improved.given.mesh_of_step) if of == mesh]
+    return steps, [improved.given.times[step] for step in steps]
+
+
+def _print_steps(improved: "ImprovedFile") -> None:
+    """A row for each mesh of a time series."""
+    before, after = improved.before, improved.report.quality
+    table = console.table("steps")
+    for name in ("", "inverted before", "after", "IMR average before", "after", "IMR maximum before", "after"):
+        table.add_column(name, justify="right" if name else "left")
+    for m, name in enumerate(improved.given.names()):
+        numbers = [f(q, m) for f in (_inverted, _average, _worst) for q in (before, after)]
+        table.add_row(name, *(console.number(value) for value in numbers))
+    console.stdout().print(table)
+
+
+def _inverted(q: "Quality", m: int) -> float:
+    return int(q.inverted[m])
+
+
+def _average(q: "Quality", m: int) -> float:
+    return float(q.mean[m])
+
+
+def _worst(q: "Quality", m: int) -> float:
+    return float(q.max[m])
+
+
 def _in_the_same_plane(path: Path, batch: "MeshBatch") -> "MeshBatch":
-    """The mesh in the file `path`, with coordinates in the plane of `batch`; raises UsageError if it lies elsewhere."""
+    """The mesh in the file `path` in the plane of `batch`, once for each mesh; UsageError if it lies elsewhere."""
     import torch
 
     from ..files.mesh_files import read
-    from ..mesh.batch import lift
+    from ..mesh.batch import join, lift
 
     found = read(path)
     origin, *axes = batch.frames[0]
@@ -200,14 +252,14 @@ def _in_the_same_plane(path: Path, batch: "MeshBatch") -> "MeshBatch":
     if float(beside) > 1e-6 * float(flat.abs().max()):
         raise UsageError(f"{path}: the reference lies in another plane than the mesh")
     # Where the planes are the same, the coordinates are, to the bit.
-    flat = found.points if torch.equal(found.frames, batch.frames) else flat
-    return replace(found.with_points(flat), frames=batch.frames)
+    flat = found.points if torch.equal(found.frames, batch.frames[:1]) else flat
+    return join([replace(found.with_points(flat), frames=batch.frames[:1])] * len(batch))
 
 
 def _print_notes(report: "Report", draft: "SeriesDraft") -> None:
-    """Says what was found in the mesh, how regions have changed, and what became of the fields."""
-    note = report.notes[0]
-    if note and bool(report.valid[0]):  # otherwise the verdict says it
+    """Says what was found in the meshes, how regions have changed, and what became of the fields."""
+    notes = dict.fromkeys(note for note, valid in zip(report.notes, report.valid.tolist(), strict=True) if valid)
+    for note in filter(None, notes):  # of others the verdict says it
         console.stdout().print(f"found: {note}", markup=False, soft_wrap=True)
     if report.regions is not None:
         _print_regions(report.regions)
@@ -266,9 +318,12 @@ def _write(
     report: Path | None,
     document: dict[str, Any],
     plot: Path | None,
-    title: str,
+    name: str,
 ) -> None:
-    """Writes the mesh, its report and its picture: all files appear, or none does."""
+    """Writes the mesh, its report and its picture: all files appear, or none does.
+
+    Of a time series the picture shows the mesh that came with most inverted triangles.
+    """
     from ..files.atomic import replacing
     from ..pictures.pictures import before_after
 
@@ -276,6 +331,9 @@ def _write(
         if report is not None:
             files.enter_context(replacing(report)).write_text(console.json_text(document), encoding="utf-8")
         if plot is not None:
-            before_after(files.enter_context(replacing(plot)), improved.given.batch, improved.meshes[0], title)
+            worst = int(improved.before.inverted.argmax())
+            which = f", {improved.given.names()[worst]}" if len(improved.meshes) > 1 else ""
+            given, made = improved.given.batch.split()[worst], improved.meshes[worst]
+            before_after(files.enter_context(replacing(plot)), given, made, f"{name}{which}: before and after")
         draft.tell()
         draft.save()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from . import console
+from .errors import UsageError
 from .shared_options import use_threads
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Observed:
 
 
 def observe(given: "Series", options: "ImproveOptions", quiet: bool) -> Observed:
-    """Improves the mesh of a file as `torchmesh improve` does, with the same result, and keeps the stages."""
+    """Improves the one mesh of a file as `torchmesh improve` does, with the same result, and keeps the stages."""
     from ..batches.file_improvement import improve_series
 
     use_threads(1)
@@ -49,3 +50,24 @@ def observe(given: "Series", options: "ImproveOptions", quiet: bool) -> Observed
             [given], options, progress=show, observe=lambda stage, batch: stages.append((stage, batch))
         )
     return Observed(stages, improved)
+
+
+def improve_all(given: "Series", options: "ImproveOptions", quiet: bool) -> "ImprovedFile":
+    """Improves all meshes of a file as `torchmesh improve` does."""
+    from ..batches.file_improvement import improve_series
+
+    use_threads(1)
+    with console.progress(quiet) as show:
+        return improve_series([given], options, progress=show)[0]
+
+
+def step_to_show(given: "Series", step: int | None) -> int:
+    """The step of a file to show: the one asked for, or that with most inverted triangles; raises UsageError."""
+    from ..mesh.measure import quality
+
+    if step is None:
+        return given.mesh_of_step.index(int(quality(given.batch).inverted.argmax()))
+    if step >= len(given):
+        last = len(given) - 1
+        raise UsageError(f"--step {step}: {given.sources[0].path} has steps from 0 to {last}")
+    return step

@@ -28,6 +28,7 @@ EXAMPLES = (
     "torchmesh quality better.vtu --metrics minimum_angle,scaled_jacobian,aspect_ratio",
     "torchmesh quality better.vtu --sizes boundary",
     "torchmesh quality better.vtu --json",
+    "torchmesh quality run.xdmf --worst 0",
 )
 
 
@@ -59,25 +60,28 @@ def quality(
 ) -> int:
     """Measure meshes: inverted triangles, shapes, and where the worst ones are.
 
-    IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0; elements are the
-    file's own numbers (Gmsh, Nastran, Abaqus, Kratos, Exodus). The worst are
-    the inverted triangles, largest first, then those of the highest IMR. A quad is inverted if one of its corners is
-    not upright. The exit status is 1 if any triangle or quad of any file is inverted (an area of zero included).
+    IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0; elements are
+    the file's own numbers (Gmsh, Nastran, Abaqus, Kratos, Exodus). The worst are the inverted triangles, largest
+    first, then those of the highest IMR. A quad is inverted if one of its corners is not upright. Of a time series
+    (XDMF, .pvd) every mesh has a row. The exit status is 1 if any triangle or quad of any file is inverted (an area
+    of zero included).
     """
+    from ..batches.file_improvement import open_mesh
     from ..errors import MeshError
-    from ..files.source import Source
 
     names = _metric_names(metrics)
     use_threads(1)
     records, unread = [], 0
     for path in sources:
         try:
-            source = Source.open(path)
+            given = open_mesh(path)
         except (MeshError, OSError) as error:
             console.say(f"error: {error}")
             unread += 1
             continue
-        records.append(_record(source, worst, names, sizes))
+        meshes = zip(given.first_sources(), given.names(), strict=True)
+        for source, steps in meshes:
+            records.append(_record(source, steps if len(given) > 1 else "", worst, names, sizes))
     if as_json:
         typer.echo(console.json_text(records), nl=False)
     elif records:
@@ -101,8 +105,8 @@ def _metric_names(option: str | None) -> list[str]:
 # --- measuring ---------------------------------------------------------------------------------------
 
 
-def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -> dict[str, Any]:
-    """All that was asked about one file, as plain values."""
+def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: str | None) -> dict[str, Any]:
+    """All that was asked about one file, or about the mesh of these steps of it, as plain values."""
     from ..files.own_numbers import triangle_numbers
     from ..mesh.measure import quality as measure
     from ..mesh.metrics import evaluate
@@ -112,6 +116,7 @@ def _record(source: "Source", worst: int, names: list[str], sizes: str | None) -
     folded = source.inverted_quads().tolist()
     record = {
         "file": console.told(str(source.path)),
+        **({"steps": steps} if steps else {}),
         **console.record(mesh, q, (len(source.quads), len(folded))),
         "worst": _worst(mesh, q, worst, triangle_numbers(source.document)),
     }
@@ -205,7 +210,12 @@ def _print(records: list[dict[str, Any]]) -> None:
         if record.get("inverted_quads"):
             rows = record["rows_of_inverted_quads"]
             shown = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
-            console.stdout().print(f"inverted quads of {record['file']}: rows {shown}", markup=False, soft_wrap=True)
+            console.stdout().print(f"inverted quads of {_called(record)}: rows {shown}", markup=False, soft_wrap=True)
+
+
+def _called(record: dict[str, Any]) -> str:
+    """The file, and in a time series the steps."""
+    return ", ".join(filter(None, [record["file"], record.get("steps")]))
 
 
 def _files_table(records: list[dict[str, Any]]) -> Any:
@@ -230,15 +240,13 @@ def _files_table(records: list[dict[str, Any]]) -> Any:
         if sized:
             mean, low, high = (f"{r['edge_length_over_size'][k]:.2f}" for k in ("mean", "p5", "p95"))
             cells.append(f"{mean} ({low} - {high})")
-        table.add_row(
-            Text(console.told(r["file"])), *cells, style="red" if r["inverted"] + r.get("inverted_quads", 0) else None
-        )
+        table.add_row(Text(_called(r)), *cells, style="red" if r["inverted"] + r.get("inverted_quads", 0) else None)
     return table
 
 
 def _metrics_table(record: dict[str, Any]) -> Any:
     """A row for each metric."""
-    table = console.table(f"metrics of {record['file']}")
+    table = console.table(f"metrics of {_called(record)}")
     table.add_column("metric")
     percents = [name for name in next(iter(record["metrics"].values())) if name.startswith("p")]
     columns = ["min", *percents, "max", "mean"]
@@ -251,7 +259,7 @@ def _metrics_table(record: dict[str, Any]) -> Any:
 
 def _worst_table(record: dict[str, Any]) -> Any:
     """A row for each of the worst triangles."""
-    table = console.table(f"worst triangles of {record['file']}")
+    table = console.table(f"worst triangles of {_called(record)}")
     numbered = "element" in record["worst"][0]
     for name in ("row", *["element"] * numbered, "IMR", "area", *"xyz"[: len(record["worst"][0]["centroid"])]):
         table.add_column(name, justify="right")

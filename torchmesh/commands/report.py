@@ -3,6 +3,7 @@
 Nothing here imports torch before it is needed.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ import typer
 
 from . import console
 from .errors import UsageError
-from .observation import observe
+from .observation import improve_all, observe, step_to_show
 from .shared_options import (
     BeforeArgument,
     BetaOption,
@@ -25,6 +26,7 @@ from .shared_options import (
     ScopeOption,
     Shapes,
     ShapesOption,
+    StepOption,
     TitleOption,
     Topology,
     TopologyOption,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from ..improving.options import ImproveOptions
     from ..improving.report import Report
     from ..mesh.batch import MeshBatch
+    from ..mesh.measure import Quality
 
 EXAMPLES = (
     "torchmesh report tangled.vtu better.vtu report.html",
@@ -69,6 +72,7 @@ def report(
     shapes: ShapesOption = Shapes.auto,
     beta: BetaOption = None,
     regions: RegionsOption = None,
+    step: StepOption = None,
     quiet: QuietOption = False,
 ) -> int:
     """Write a web page that shows a mesh before and after.
@@ -76,11 +80,14 @@ def report(
     One file that needs no network: tables, histograms, and a picture of the mesh to move and zoom in, with every
     triangle's row and shape at a click and a slider over the stages of the improvement. For the stages IN is improved
     once more, with the options given; if that does not end at OUT, the page says so and shows before and after only.
+    Of a time series (XDMF, .pvd) one step is shown, beside a table of all.
 
     The exit status is 1 if OUT has inverted triangles.
     """
-    from ..batches.file_improvement import open_mesh
+    from ..batches.file_improvement import open_mesh, quad_counts
     from ..files.atomic import check_target
+    from ..files.time_series import check_steps
+    from ..mesh.batch import join
     from ..mesh.measure import quality
     from ..pictures.page import report_page
 
@@ -90,53 +97,63 @@ def report(
     check_distinct(source, target, page)
     check_target(page)
     given = open_mesh(source, regions)
-    if target.exists():
-        shown, after, result, note = _compare(given, target, options, stages, quiet)
+    if not target.exists():
+        check_mesh_target(target)
+        check_steps(target, len(given))
+        improved = improve_all(given, options, quiet)
+        improved.write(target)
+        after = replace(given, batch=join(improved.meshes))
     else:
-        shown, after, result = _make(given, target, options, stages, quiet)
-        note = None
-    report_page(page, shown, result, title=title or f"{source.name}: before and after", note=note)
+        after = open_mesh(target)
+    at = _step_shown(given, after, target, step)
+    shown, result, note = _stages(given.only(at), after.only(at), target, options, stages, quiet)
+    series = _series_table(given, after, at) if len(given) > 1 else None
+    report_page(page, shown, result, title=title or f"{source.name}: before and after", note=note, series=series)
     if not quiet:
         extent = console.counted(len(shown), "stage") if note is None else "before and after only"
-        typer.echo(f"{page}: {extent}, {page.stat().st_size / 1e6:.1f} MB")
+        which = f" of step {at}" if len(given) > 1 else ""
+        typer.echo(f"{page}: {extent}{which}, {page.stat().st_size / 1e6:.1f} MB")
         if note is not None:
             console.say(note)
-    quads = len(given.sources[0].inverted_quads(after.points)) if len(after.points) >= len(given.batch.points) else 0
-    return console.verdict(f"in {target}", quality(after), quads=quads)
+    same = len(after.batch.points) >= len(given.batch.points) and len(after.batch) == len(given.batch)
+    quads = quad_counts(given, after.batch)[1] if same else 0
+    return console.verdict(f"in {target}", quality(after.batch), quads=quads)
 
 
-def _make(
-    given: "Series", target: Path, options: "ImproveOptions", stages: bool, quiet: bool
-) -> "tuple[list[tuple[str, MeshBatch]], MeshBatch, Report | None]":
-    """Improves the mesh and writes it; what the page shows, the mesh at the end, and the report for the page."""
-    check_mesh_target(target)
-    observed = observe(given, options, quiet)
-    observed.improved.write(target)
-    if stages:
-        return observed.stages, observed.after, observed.report
-    return [("before", given.batch), ("after", observed.after)], observed.after, None
+def _step_shown(given: "Series", after: "Series", target: Path, step: int | None) -> int:
+    """The step of a time series to show; raises UsageError if OUT has other steps or `step` does not exist."""
+    if len(after) != len(given):
+        raise UsageError(f"{target} has {len(after)} steps, and {given.sources[0].path} has {len(given)}")
+    return step_to_show(given, step)
 
 
-def _compare(
-    given: "Series", target: Path, options: "ImproveOptions", stages: bool, quiet: bool
-) -> "tuple[list[tuple[str, MeshBatch]], MeshBatch, Report | None, str | None]":
-    """What the page shows of a mesh that was improved before: its stages, if the same improvement leads to it.
+def _stages(
+    given: "Series", after: "Series", target: Path, options: "ImproveOptions", stages: bool, quiet: bool
+) -> "tuple[list[tuple[str, MeshBatch]], Report | None, str | None]":
+    """What the page shows of one mesh: its stages, if the same improvement leads to the mesh after.
 
     The last entry is a note for the page where it does not.
     """
-    from ..files.mesh_files import read
-
-    after = read(target)
-    both: list[tuple[str, MeshBatch]] = [("before", given.batch), ("after", after)]
+    both: list[tuple[str, MeshBatch]] = [("before", given.batch), ("after", after.batch)]
     if not stages:
-        return both, after, None, None
+        return both, None, None
     observed = observe(given, options, quiet)
-    if not _agree(observed.after, after):
+    if not _agree(observed.after, after.batch):
         name = given.sources[0].path.name
-        note = f"The stages between are not known: {target.name} is not what improve makes of {name}."
-        return both, after, None, note
+        return both, None, f"The stages between are not known: {target.name} is not what improve makes of {name}."
     *between, (last, _) = observed.stages
-    return [*between, (last, after)], after, observed.report, None
+    return [*between, (last, after.batch)], observed.report, None
+
+
+def _series_table(given: "Series", after: "Series", shown: int) -> "list[tuple[str, Quality, Quality, bool]]":
+    """For each step its name, the mesh before and after in numbers, and whether it is the one that is shown."""
+    from ..mesh.measure import quality
+
+    before, now = ([quality(mesh) for mesh in one.batch.split()] for one in (given, after))
+    return [
+        (f"step {k}, time {time:g}", before[given.mesh_of_step[k]], now[after.mesh_of_step[k]], k == shown)
+        for k, time in enumerate(given.times)
+    ]
 
 
 def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:

@@ -174,6 +174,17 @@ FieldsOption = Annotated[
 ]
 
 
+StepOption = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Of a time series, the step to show, counted from 0. Default: the one with most inverted triangles.",
+        show_default=False,
+    ),
+]
+
+
 RegionsOption = Annotated[
     str | None,
     typer.Option(

@@ -33,6 +33,8 @@ def check_mesh_target(target: Path) -> None:
     """Raises MeshIOError unless a mesh file of this name can be written."""
     from ..files.atomic import check_target
     from ..files.formats.registry import format_of
+    from ..files.pvd import is_pvd
 
-    format_of(target)
+    if not is_pvd(target):
+        format_of(target)
     check_target(target)

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -28,11 +28,14 @@ from .targets import check_mesh_target, target_of
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..files.parts import Part as FilePart
     from ..files.time_series import Series, SeriesDraft
 
 EXAMPLES = (
     "torchmesh warp plate.msh --list",
     "torchmesh warp plate.msh moved.vtu --move hole:1:0.5,0",
+    "torchmesh warp channel.msh moved.msh --move cylinder:0.1,0.05 --rotate cylinder:20",
+    "torchmesh warp plate.msh larger.vtu --scale hole:1:1.2",
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --improve",
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --steps auto",
     "torchmesh warp plate.msh bent.vtu --move 0,0,0.2,1:0,-0.1 --rotate hole:1:30:0.5,0.5",
@@ -46,7 +49,7 @@ OutArgument = Annotated[
 ]
 ListOption = Annotated[
     bool,
-    typer.Option("--list", help="List the boundary's loops by name, with their positions, and do nothing else."),
+    typer.Option("--list", help="List what can be moved by name, with positions, lengths and what lies on it."),
 ]
 MoveOption = Annotated[
     list[str] | None,
@@ -59,6 +62,15 @@ RotateOption = Annotated[
     typer.Option(
         metavar="PART:DEG",
         help="Turn a part counter-clockwise about the middle of its bounding box, or, PART:DEG:X,Y, about a point.",
+        show_default=False,
+    ),
+]
+ScaleOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PART:FACTOR",
+        help="Make a part larger or smaller from the middle of its bounding box, or, PART:FACTOR:X,Y, from a point; "
+        "FX,FY is a factor for each axis.",
         show_default=False,
     ),
 ]
@@ -94,6 +106,7 @@ def warp(
     list_parts: ListOption = False,
     move: MoveOption = None,
     rotate: RotateOption = None,
+    scale: ScaleOption = None,
     displacement: DisplacementOption = None,
     improve_too: ImproveOption = False,
     steps: StepsOption = None,
@@ -106,26 +119,28 @@ def warp(
 ) -> int:
     """Move parts of a mesh's boundary and carry the interior along (FEMWARP).
 
-    A PART is 'outer:N' or 'hole:N', a loop of the boundary as --list names it, or 'X0,Y0,X1,Y1', the boundary and
-    other fixed vertices inside that box of the undeformed mesh. Turns come first, then all moves and the displacement
-    field add up; what is not named stays. Coordinates and vectors are those of the file: X and Z of a mesh in the x-z
-    plane; in a tilted plane the two that --list shows, or all three. Interfaces between regions follow as the rest of
-    the interior does, unless the point field 'fixed' marks them.
+    A PART is a name that --list shows: 'outer:N' or 'hole:N', a loop of the boundary, or a physical group, marker,
+    side set, block or node set of the file; or it is 'X0,Y0,X1,Y1', the boundary and other fixed vertices inside
+    that box of the undeformed mesh. Layers of quads that stand on a part go along with it. Scalings come first,
+    then turns, then all moves and the displacement field add up; what is not named stays. In a time series every
+    step moves. Coordinates and vectors are those of the file: X and Z of a mesh in the x-z plane; in a tilted plane
+    the two that --list shows, or all three. Interfaces between regions follow as the rest of the interior does,
+    unless the point field 'fixed' marks them.
 
-    A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps none
-    inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit status
-    is 1.
+    A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps
+    none inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit
+    status is 1.
     """
-    asked = bool(move or rotate or displacement)
+    asked = bool(move or rotate or scale or displacement)
     followers = [Follower.of(text) for text in rigid or []]
     if list_parts:
         if target or asked or improve_too or followers:
             raise UsageError("--list goes with IN alone")
-        return _list(source)
+        return _list(source, regions)
     target = target_of(source, target, in_place)
     if not asked:
-        raise UsageError("nothing to move: give --move, --rotate or --displacement (--list names the parts)")
-    motion = Motion.of(rotate or [], move or [], displacement)
+        raise UsageError("nothing to move: give --move, --rotate, --scale or --displacement (--list names the parts)")
+    motion = Motion.of(scale or [], rotate or [], move or [], displacement)
     if steps is not None:
         _check_steps(steps, improve_too)
     elif followers:
@@ -133,52 +148,78 @@ def warp(
     check_mesh_target(target)
     use_threads(threads)
 
+    import torch
+
     from ..batches.file_improvement import open_mesh
 
     given = open_mesh(source, regions)
-    boundary = motion.apply(given.sources[0])
+    if displacement is not None:
+        given = given.separated()  # the field may differ from step to step
+    goals = [motion.apply(of_mesh) for of_mesh in given.first_sources()]
+    boundary, hold = (torch.cat(parts) for parts in zip(*goals, strict=True))
     if steps is not None:
-        return _deform(given, boundary, steps, target, strict, quiet, followers)
-    return _warp(given, boundary, improve_too, target, strict, quiet)
+        return _deform(given, boundary, hold, steps, target, strict, quiet, followers)
+    return _warp(given, boundary, hold, improve_too, target, strict, quiet)
 
 
-def _list(path: Path) -> int:
-    """Prints the loops of the boundary and the boxes that they fill."""
-    from ..files.mesh_files import read
-    from ..mesh.boundary_parts import boundary_parts
+def _list(path: Path, regions: str | None) -> int:
+    """Prints the parts that can be moved, with what lies on them and the boxes that they fill."""
+    from rich.text import Text
+
+    from ..batches.file_improvement import open_mesh
+    from ..files.parts import parts_of
     from ..mesh.file_axes import told, told_axes
 
     use_threads(1)
-    mesh = read(path)
+    source = open_mesh(path, regions).sources[0]
+    mesh = source.mesh
     table = console.table()
     table.add_column("part")
     one, two = ("xyz"[axis] for axis in told_axes(mesh))
-    for name in ("vertices", f"{one} from", f"{one} to", f"{two} from", f"{two} to"):
-        table.add_column(name, justify="right")
-    for name, loop in boundary_parts(mesh).items():
-        seen = told(mesh, mesh.points[loop])
+    for name in ("vertices", f"{one} from", f"{one} to", f"{two} from", f"{two} to", "length", "kind", "on it"):
+        table.add_column(name, justify="left" if name in ("kind", "on it") else "right")
+    for name, part in parts_of(source).items():
+        seen = told(mesh, mesh.points[part.vertices])
         (x0, y0), (x1, y1) = seen.amin(0).tolist(), seen.amax(0).tolist()
-        table.add_row(name, f"{len(loop):,}", *(f"{v:.6g}" for v in (x0, x1, y0, y1)))
+        numbers = [f"{v:.6g}" for v in (x0, x1, y0, y1)]
+        length = f"{part.length(mesh.points):.6g}" if len(part.edges) else ""
+        table.add_row(Text(name), f"{len(part.vertices):,}", *numbers, length, part.kind, _on_it(part))
     console.stdout().print(table)
     return 0
 
 
-def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, strict: bool, quiet: bool) -> int:
+def _on_it(part: "FilePart") -> str:
+    """'12 triangles, 30 quads; 90 vertices of layers go along'"""
+    found = [(part.triangles, "triangle"), (part.quads, "quad")]
+    text = ", ".join(console.counted(count, noun) for count, noun in found if count)
+    along = f"; {console.counted(len(part.layer), 'vertex', 'vertices')} of layers go along"
+    return text + along * bool(len(part.layer))
+
+
+def _warp(
+    given: "Series",
+    boundary: "Tensor",
+    hold: "Tensor",
+    improve_too: bool,
+    target: Path,
+    strict: bool,
+    quiet: bool,
+) -> int:
     """Warps in one step, improves if asked, writes; returns the exit status."""
-    from ..batches.file_improvement import improve_series
+    from ..batches.file_improvement import improve_series, quad_counts
     from ..files.time_series import draft_series
     from ..improving.options import ImproveOptions
+    from ..mesh.batch import join
     from ..mesh.measure import quality
     from ..warping.femwarp import femwarp
 
     mesh = given.batch
     with _file_named(given):
-        warped = femwarp(mesh, boundary)
-    after, source = quality(warped), given.sources[0]
-    quads = len(source.inverted_quads(warped.points))
+        warped = femwarp(mesh, boundary, hold=hold)
+    after, (_, quads) = quality(warped), quad_counts(given, warped)
     columns = {
-        "undeformed": console.record(mesh, quality(mesh), (len(source.quads), len(source.inverted_quads()))),
-        "warped": console.record(warped, after, (len(source.quads), quads)),
+        "undeformed": console.record(mesh, quality(mesh), quad_counts(given, mesh)),
+        "warped": console.record(warped, after, quad_counts(given, warped)),
     }
     if not improve_too:
         _save(draft_series(target, warped, given), strict)
@@ -187,12 +228,12 @@ def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, 
             (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
         after = improved.report.quality
         quads = improved.inverted_quads()
-        columns["improved"] = console.record(improved.meshes[0], after, (len(source.quads), quads))
+        columns["improved"] = console.record(join(improved.meshes), after, (quad_counts(given, mesh)[0], quads))
         _save(improved.draft(target), strict)
     if not quiet:
         console.print_comparison(str(target), columns)
     if improve_too:
-        return console.verdict(f"in {target}", after, improved.report.messages[0], quads)
+        return console.verdict(f"in {target}", after, improved.message(), quads)
     if quads:
         console.say(f"{console.counted(quads, 'inverted quad')} in {target}; {console.QUADS_STAY} by improve")
     inverted = int(after.inverted.sum())
@@ -206,6 +247,7 @@ def _warp(given: "Series", boundary: "Tensor", improve_too: bool, target: Path, 
 def _deform(
     given: "Series",
     boundary: "Tensor",
+    hold: "Tensor",
     steps: str,
     target: Path,
     strict: bool,
@@ -222,16 +264,19 @@ def _deform(
 
     mesh = given.batch
     with console.progress(quiet) as show, _file_named(given):
-        bodies = [follower.vertices(mesh) for follower in followers]
+        bodies = [torch.cat([f.vertices(source) for source in given.first_sources()]) for f in followers]
         rigid = torch.stack(bodies).any(0) if bodies else None
-        after, report = deform(mesh, boundary, "auto" if steps == "auto" else int(steps), progress=show, rigid=rigid)
+        count: Literal["auto"] | int = "auto" if steps == "auto" else int(steps)
+        after, report = deform(mesh, boundary, count, progress=show, rigid=rigid, hold=hold)
     _save(draft_series(target, after, given), strict)
     if not quiet:
         columns = {"undeformed": console.record(mesh, quality(mesh)), "deformed": console.record(after, quality(after))}
         console.print_comparison(f"{target}, {report.messages[0]}", columns)
-    if int(report.status[0]) == Status.VALID:
+    stopped = (report.status != Status.VALID).nonzero().squeeze(1).tolist()
+    if not stopped:
         return 0
-    console.say(f"not at the goal: {target} is valid, but {report.messages[0]}")
+    which = f"{given.names()[stopped[0]]}: " if len(given) > 1 else ""
+    console.say(f"not at the goal: {target} is valid, but {which}{report.messages[stopped[0]]}")
     return 1
 
 

@@ -22,6 +22,7 @@ from .documents import load
 from .formats.format import Document
 from .messages import in_one_line, warn
 from .own_numbers import with_own_numbers
+from .pvd import is_pvd
 from .surface import Surface
 
 # Words of messages that speak of constrained edges.
@@ -49,6 +50,8 @@ class Source:
     def open(cls, path: str | os.PathLike[str], regions: str | None = None) -> "Source":
         """Raises and warns as `read` does; `regions` is as for `read`, too."""
         path = as_path(path)
+        if is_pvd(path):
+            raise MeshIOError(f"{path}: it is a time series: read it by read_series")
         return cls.of(load(path), path, regions)
 
     @classmethod

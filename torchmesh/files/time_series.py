@@ -31,6 +31,7 @@ from .formats.registry import format_of
 from .formats.xdmf import XDMF, check_data_files, is_series
 from .mesh_files import draft
 from .messages import translated, warn
+from .pvd import is_pvd, pvd_steps, step_paths, write_pvd
 from .source import Source
 from .surface import HeightChoice
 
@@ -50,19 +51,51 @@ class Series:
     times         (S,) the time of each step, in the file's unit
     mesh_of_step  (S,) for each step its mesh in the batch
     sources       (S,) what `write_series` needs to know of each step
+    path          the file, if it was read from one
     """
 
     batch: MeshBatch
     times: list[float]
     mesh_of_step: list[int]
     sources: list[Source]
+    path: Path | None = None
 
     def __len__(self) -> int:
         return len(self.times)
 
+    def first_sources(self) -> list[Source]:
+        """(M,) for each mesh of the batch the first step that has it."""
+        return [self.sources[self.mesh_of_step.index(mesh)] for mesh in range(len(self.batch))]
+
+    def only(self, step: int) -> "Series":
+        """One step as a series of its own."""
+        mesh = self.batch.split()[self.mesh_of_step[step]]
+        return replace(self, batch=mesh, times=[self.times[step]], mesh_of_step=[0], sources=[self.sources[step]])
+
+    def separated(self) -> "Series":
+        """The same with a mesh of its own for each step."""
+        if len(self.batch) == len(self.times):
+            return self
+        meshes = self.batch.split()
+        return replace(
+            self, batch=join([meshes[m] for m in self.mesh_of_step]), mesh_of_step=list(range(len(self.times)))
+        )
+
+    def names(self) -> list[str]:
+        """(M,) for each mesh its steps in words: "step 2 (time 0.5)", "steps 3 to 5"."""
+        names = []
+        for mesh in range(len(self.batch)):
+            steps = [step for step, m in enumerate(self.mesh_of_step) if m == mesh]
+            run = steps == list(range(steps[0], steps[-1] + 1))
+            if len(steps) == 1:
+                names.append(f"step {steps[0]} (time {self.times[steps[0]]:g})")
+            else:
+                names.append(f"steps {steps[0]} to {steps[-1]}" if run else f"steps {', '.join(map(str, steps))}")
+        return names
+
 
 def read_series(path: str | os.PathLike[str], *, regions: str | None = None) -> Series:
-    """The steps of an XDMF time series; any other mesh file is a series of one step at time 0.
+    """The steps of an XDMF time series or a collection (.pvd); any other mesh file is a series of one step at time 0.
 
     Regions, lines and fixed vertices are found for each step as by `read`.  Steps whose vertices, triangles, fixed
     vertices and constrained edges agree share one mesh.  `regions` is as for `read`.
@@ -70,19 +103,28 @@ def read_series(path: str | os.PathLike[str], *, regions: str | None = None) -> 
     Raises MeshIOError, InvalidMeshError and MissingDependencyError as `read` does, and names the step.
     """
     path = Path(path)
+    if is_pvd(path):
+        files = pvd_steps(path)
+        return _series_of([time for time, _ in files], [Source.open(file, regions) for _, file in files], path)
     if not is_series(path):
         source = Source.open(path, regions)
-        return Series(source.mesh, [0.0], [0], [source])
+        return Series(source.mesh, [0.0], [0], [source], path)
     steps = _xdmf_steps(path)
     sources: list[Source] = []
+    for step, (_, mesh) in enumerate(steps):
+        try:
+            sources.append(Source.of(Document(mesh, XDMF.name), path, regions))
+        except InvalidMeshError as error:
+            raise InvalidMeshError(f"step {step} of {error}") from None
+    return _series_of([time for time, _ in steps], sources, path)
+
+
+def _series_of(times: list[float], sources: list[Source], path: Path) -> "Series":
+    """The series of these steps; those whose meshes agree in all that counts share one."""
     meshes: list[MeshBatch] = []
     number: dict[bytes, int] = {}
     mesh_of_step = []
-    for step, (_, mesh) in enumerate(steps):
-        try:
-            source = Source.of(Document(mesh, XDMF.name), path, regions)
-        except InvalidMeshError as error:
-            raise InvalidMeshError(f"step {step} of {error}") from None
+    for source in sources:
         m = source.mesh
         key = b"".join(
             np.ascontiguousarray(a).tobytes() + str(a.shape).encode()
@@ -92,8 +134,7 @@ def read_series(path: str | os.PathLike[str], *, regions: str | None = None) -> 
             number[key] = len(meshes)
             meshes.append(m)
         mesh_of_step.append(number[key])
-        sources.append(source)
-    return Series(join(meshes), [time for time, _ in steps], mesh_of_step, sources)
+    return Series(join(meshes), times, mesh_of_step, sources, path)
 
 
 def write_series(
@@ -115,8 +156,8 @@ def write_series(
 
     Returns what became of the fields, which is nothing under "carry".
 
-    A series of several steps is written as .xdmf, with its data as text in the one file; a single step in any
-    format.  Raises as `write` does.
+    A series of several steps is written as .xdmf, with its data as text in the one file, or as .pvd, with a numbered
+    file beside it for each step, in the format that this had; a single step in any format.  Raises as `write` does.
     """
     made = draft_series(path, batch, like, vertex_maps, fields=fields, before=before)
     made.tell()
@@ -147,13 +188,25 @@ def draft_series(
     if fields != "carry":
         given = mesh_of_values(path, like.batch, before).split()
         transfers = [FieldTransfer(one, other, fields) for one, other in zip(given, meshes, strict=True)]
-    form = format_of(path)
-    if len(like) > 1 and form is not XDMF:
-        raise MeshIOError(f"{path}: {form.name} files hold one step, the series has {len(like)}: write .xdmf")
-    pairs = zip(like.mesh_of_step, like.sources, strict=True)
-    steps = [draft(path, meshes[m], source, maps[m], transfers[m], height) for m, source in pairs]
+    check_steps(path, len(like))
+    paths = [path] * len(like)
+    if is_pvd(path):
+        followed = like.path is not None and is_pvd(like.path)
+        extensions = [source.path.suffix if followed else ".vtu" for source in like.sources]
+        paths = step_paths(path, extensions, like.path)
+    rows = zip(paths, like.mesh_of_step, like.sources, strict=True)
+    steps = [draft(at, meshes[m], source, maps[m], transfers[m], height) for at, m, source in rows]
     summary = sum((one.summary for one in transfers if one is not None), FieldSummary())
     return SeriesDraft(path, like.times, steps, summary)
+
+
+def check_steps(path: Path, steps: int) -> None:
+    """Raises MeshIOError if a file of this name cannot hold so many steps."""
+    if is_pvd(path):
+        return
+    form = format_of(path)
+    if steps > 1 and form is not XDMF:
+        raise MeshIOError(f"{path}: {form.name} files hold one step, the series has {steps}: write .xdmf or .pvd")
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +242,9 @@ class SeriesDraft:
 
     def save(self) -> None:
         """Writes the file, whole or not at all.  Raises MeshIOError."""
+        if is_pvd(self.path):
+            write_pvd(self.path, self.times, self.steps)
+            return
         if len(self.steps) == 1:
             self.steps[0].save()
             return

@@ -20,7 +20,7 @@ from .source import Source
 def walls_of(source: Source) -> dict[str, torch.Tensor]:
     """The edges (K, 2) int64 of each wall that the file has a name for, as rows of vertices."""
     content, count = source.content, len(source.mesh.points)
-    named = [(name, edges) for name, edges in _named(content) if len(edges)]
+    named = [(name, edges) for name, edges in lines_of(content) if len(edges)]
     known = torch.cat([torch.zeros(0, dtype=torch.int64), *(keys_of(edges, count) for _, edges in named)])
     for name, edges in _frames_of_regions(content, source.mesh):
         edges = edges[~torch.isin(keys_of(edges, count), known)]
@@ -32,11 +32,11 @@ def walls_of(source: Source) -> dict[str, torch.Tensor]:
     return {name: torch.cat(edges) for name, edges in walls.items()}
 
 
-def _named(content: Content) -> Iterator[tuple[str, torch.Tensor]]:
+def lines_of(content: Content) -> Iterator[tuple[str, torch.Tensor]]:
     """The named groups of lines, and of sides of elements."""
     for name, edges in content.sides.items():
         yield name, torch.from_numpy(np.asarray(edges, np.int64).reshape(-1, 2))
-    for name, rows in _groups(content.mesh, 1):
+    for name, rows in groups(content.mesh, 1):
         blocks = [b.data[r] for b, r in zip(content.mesh.cells, rows, strict=True) if b.type == "line"]
         yield name, torch.from_numpy(np.concatenate([np.zeros((0, 2), np.int64), *blocks]))
 
@@ -45,7 +45,7 @@ def _frames_of_regions(content: Content, mesh: MeshBatch) -> Iterator[tuple[str,
     """The interior edges between the triangles of a named group and others."""
     twin = mesh.twin
     inner = (twin >= 0).nonzero().squeeze(1)
-    for name, rows in _groups(content.mesh, 2):
+    for name, rows in groups(content.mesh, 2):
         blocks = [np.zeros(len(b.data), bool) for b in content.mesh.cells]
         for block, members in zip(blocks, rows, strict=True):
             block[members] = True
@@ -58,7 +58,7 @@ def _frames_of_regions(content: Content, mesh: MeshBatch) -> Iterator[tuple[str,
         yield name, torch.stack([corners[h], corners[h - h % 3 + (h + 1) % 3]], 1)
 
 
-def _groups(mesh: meshio.Mesh, dimension: int) -> Iterator[tuple[str, list[np.ndarray]]]:
+def groups(mesh: meshio.Mesh, dimension: int) -> Iterator[tuple[str, list[np.ndarray]]]:
     """The named groups of cells of a dimension: for each block the rows that are in the group."""
     for name, members in mesh.cell_sets.items():
         yield name, [np.asarray(m, np.int64) for m in members]

@@ -20,9 +20,13 @@ from .file_axes import told
 _BOX_TOLERANCE = 1e-9
 
 
-def boundary_parts(mesh: MeshBatch) -> dict[str, Tensor]:
-    """The vertices of the boundary's loops, by name: outer loops, largest first, then holes from left to right."""
-    edges = connectivity.boundary_edges(mesh.triangles, mesh.twin)
+def boundary_parts(mesh: MeshBatch, triangles: Tensor | None = None) -> dict[str, Tensor]:
+    """The vertices of the boundary's loops, by name: outer loops, largest first, then holes from left to right.
+
+    triangles  (T, 3) int64, which bound the loops; None: those of the mesh
+    """
+    faces, twin = (mesh.triangles, mesh.twin) if triangles is None else (triangles, connectivity.twins(triangles))
+    edges = connectivity.boundary_edges(faces, twin)
     outer: list[tuple] = []
     holes: list[tuple] = []
     for loop in connectivity.boundary_loops(edges):

@@ -30,7 +30,7 @@ from ..mesh.measure import quality as measure
 from . import histograms, palette
 from .captions import quality_in_words
 from .page_data import CODES_A_DOUBLING, INFINITE_CODE, encode
-from .page_tables import numbers_table, steps_table
+from .page_tables import numbers_table, series_section, steps_table
 from .svg_histogram import svg_histogram
 
 # The picture has at most so many triangles, those of all its stages together: about 10 MB.
@@ -44,6 +44,7 @@ def report_page(
     *,
     title: str | None = None,
     note: str | None = None,
+    series: Sequence[tuple[str, Quality, Quality, bool]] | None = None,
 ) -> None:
     """Write an HTML page that shows a mesh in its stages: tables, histograms, and a picture to zoom and click in.
 
@@ -54,6 +55,8 @@ def report_page(
     report  what `improve` returned with these stages; adds flips, iterations, seconds and the outcome
     title   the heading; None: the path's name without extension
     note    a sentence to stand below the heading
+    series  of a mesh that is one step of a time series: for each step its name, its quality before and after, and
+            whether it is the step that the page shows
 
     Raises InvalidMeshError if there is no stage or one is a batch of several; ValueError if the report's steps are
     not these stages; MeshIOError if the file cannot be written.
@@ -76,6 +79,7 @@ def report_page(
         numbers=numbers_table(names, stages, measured),
         histograms=_histograms(stages, measured),
         steps=steps_table(labels, measured, steps, shown),
+        series=series_section(series),
         footer=f"torchmesh {escape(version('torchmesh-untangle'))}. Inverse mean ratio: 1 for an equilateral triangle, "
         "larger the flatter.",
         # A name may hold "</script>".

@@ -54,6 +54,22 @@ def steps_table(
     return _table(["stage", _INVERTED, "IMR average", "IMR maximum", *costs, ""], rows)
 
 
+def series_section(series: Sequence[tuple[str, Quality, Quality, bool]] | None) -> str:
+    """A section with a row for each step of a time series, as for `report_page`; empty without one."""
+    if not series:
+        return ""
+    rows = []
+    for name, before, after, shown in series:
+        counts = [int(q.inverted[0]) for q in (before, after)]
+        cells = [_cell(count, count > 0) for count in counts]
+        cells += [_cell(float(value[0])) for q in (before, after) for value in (q.mean, q.max)]
+        mark = ' aria-current="true"' if shown else ""
+        rows.append(f'<tr{mark}><th scope="row">{escape(name)}{", shown" * shown}</th>{"".join(cells)}</tr>')
+    head = ["", "inverted before", "after", "IMR average before", "maximum", "IMR average after", "maximum"]
+    table = _table(head, rows)
+    return f'<section aria-labelledby="series-heading"><h2 id="series-heading">Time series</h2>{table}</section>'
+
+
 def _numbers(mesh: MeshBatch, quality: Quality) -> dict[str, int | float | str]:
     angle = np.abs(signed_minimum_angles(mesh, quality))
     return {

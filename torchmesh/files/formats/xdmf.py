@@ -21,7 +21,7 @@ def _has_series(data: bytes) -> bool:
 
 def _refuse_series(data: bytes) -> None:
     if _has_series(data):
-        raise ValueError("it is a time series: read it by read_series, improve it by torchmesh batch")
+        raise ValueError("it is a time series: read it by read_series")
 
 
 @dataclass(frozen=True)
