@@ -4,43 +4,51 @@ Newton's method takes each mesh to its minimum: near it with full steps, farther
 the energy falls.  The derivative follows from the implicit function theorem, as nn.py explains.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import holding
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
+from ..mesh.triangle import Corners
 from ..optimising.assembly import chunk_offsets, chunks_of, energy_and_forces
 from ..optimising.blocks import BLOCK
 from ..optimising.conjugate_gradients import solve
 from ..optimising.hessian import Hessian
-from ..optimising.jacobian import equilateral
+from ..optimising.jacobian import Target, equilateral, invariants
 from ..optimising.objective import Packing, pack
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
 from ..untangling.options import UntangleOptions
+from .aims import Aims
+from .refusals import FirstOnly
 
 # The part of the decrease that the slope promises which a step must reach (Armijo's condition).
 _DECREASE = 1e-4
+
+# After a full Newton step of m near the minimum (in local edge lengths), less than this times m squared, and times m and
+# the tolerance of the linear system, is left to move.  A tenth of that was measured on jittered squares.
+_LEFT = 10.0
 
 
 @dataclass(frozen=True)
 class LayerOptions:
     """How `Smooth` and `Untangle` find their minimum and its derivative.
 
-    smooth              the energy (power, ceiling) and the L-BFGS that goes ahead; the boundary stays and the targets
-                        are equilateral
-    untangle            how `Untangle` makes meshes valid; short by default, because networks train on thousands
+    smooth              the energy (power, ceiling) and the L-BFGS that goes ahead; the boundary stays, and targets
+                        are given with each call
+    untangle            how `Untangle` makes meshes valid; None: as `improve` does
+    size_weight         weight of area against shape where sizes are given, between 0 and 1: the energy of a triangle is
+                        (1 - w) |J|^2 / det J + w (1 / det J + det J)
     newton_steps        Newton steps at most, which take the L-BFGS result to the minimum
-    tolerance           a mesh is at its minimum if the largest move of a Newton step, in local edge lengths, is below
-                        this
+    tolerance           a mesh is at its minimum if what is left to move, in local edge lengths, is below this
     cg_tolerance        relative residual of the linear systems, forward and backward
     cg_iterations       products with the Hessian at most for one linear system
     first_cg_tolerance  relative residual of the first Newton step's linear system
@@ -50,23 +58,24 @@ class LayerOptions:
     """
 
     smooth: SmoothOptions = field(default_factory=SmoothOptions)
-    untangle: UntangleOptions = field(
-        default_factory=lambda: UntangleOptions("regularised", max_iterations=50, max_continuations=15)
-    )
+    untangle: UntangleOptions | None = None
+    size_weight: float = 0.5
     newton_steps: int = 20
     tolerance: float = 1e-9
     cg_tolerance: float = 1e-10
     cg_iterations: int = 5000
-    first_cg_tolerance: float = 0.1
+    first_cg_tolerance: float = 0.01
     near: float = 1e-4
     halvings: int = 40
 
     def __post_init__(self) -> None:
         if self.smooth.slides or self.smooth.targets is not None:
             raise ValueError(
-                "LayerOptions.smooth must have boundary='fixed' and no targets, and no interfaces that slide: others "
-                "have no derivative yet"
+                "LayerOptions.smooth must have boundary='fixed' and no interfaces that slide, which have no derivative "
+                "yet, and no targets: give these with each call, layer(points, targets=...)"
             )
+        if not 0 < self.size_weight < 1:
+            raise ValueError(f"LayerOptions.size_weight must be between 0 and 1, not {self.size_weight}")
         for name in ("newton_steps", "cg_iterations", "halvings"):
             if getattr(self, name) < 1:
                 raise ValueError(f"LayerOptions.{name} must be at least 1, not {getattr(self, name)}")
@@ -84,26 +93,32 @@ class LayerInfo:
     valid      bool, every triangle is upright by exact sign
     converged  bool, valid, and the interior is at a minimum, so that the gradient is right.  In a mesh that is not
                converged, fixed vertices get their own gradient only
-    step       the largest move of the last Newton step, in local edge lengths
+    step       how far a vertex is from the minimum at most, in local edge lengths, by the last Newton step
+    mesh       the batch that came out, whose triangles are others than those given where edges flipped
     """
 
     valid: Tensor
     converged: Tensor
     step: Tensor
     status: Tensor
+    mesh: MeshBatch
 
 
-def minimum(points: Tensor, start: MeshBatch, options: LayerOptions | None = None) -> tuple[Tensor, LayerInfo]:
+def minimum(
+    points: Tensor, start: MeshBatch, options: LayerOptions | None = None, aims: Aims | None = None
+) -> tuple[Tensor, LayerInfo]:
     """The minimum of the energy near the valid meshes of `start`, differentiable in the fixed rows of `points`.
 
     points  (V, 2) float32 or float64; `start.points` must have the same values at fixed vertices
+    aims    what triangles should look like, which may require gradients; None: equilateral
 
     Returns the points (V, 2) of the minimum and how it was reached.
     """
-    options = options or LayerOptions()
+    options, aims = options or LayerOptions(), aims or Aims()
+    coefficients = aims.coefficients(start)
     with torch.no_grad():
-        state, info = _minimise(holding(start, options.smooth.interfaces), options)
-    out: Tensor = _Minimum.apply(points, state, options)
+        state, info = _minimise(holding(start, options.smooth.interfaces), options, aims, coefficients)
+    out: Tensor = _Minimum.apply(points, coefficients, state, options)
     return out, info
 
 
@@ -112,54 +127,115 @@ class _State:
     """The minimum, and what its derivative needs.
 
     points   (V, 2) of the minimum, in the caller's dtype
-    packing  of the meshes that converged
+    problem  the energy of the meshes that converged
+    x        their unknowns at the minimum
     anchors  (A,) the vertices whose coordinates are packing.anchored, in its order
-    hessian  of the energy at the minimum
     fixed    (V,) bool, vertices that may not move
     """
 
     points: Tensor
-    packing: Packing
+    problem: "_Problem"
+    x: Tensor
     anchors: Tensor
-    hessian: Hessian
     fixed: Tensor
+
+    @functools.cached_property
+    def hessian(self) -> Hessian:
+        """Of the energy at the minimum."""
+        return self.problem.hessian(self.x)
+
+    def solved(self, right: Tensor, options: LayerOptions) -> Tensor:
+        """The unknowns u with H u = right, both of the length of x."""
+        rows = self.problem.rows
+        found = solve(self.hessian, right, rows, tolerance=options.cg_tolerance, max_iterations=options.cg_iterations)
+        return found.x
+
+    def packed(self, values: Tensor) -> Tensor:
+        """Rows (V, 2) of free vertices as a vector of the length of x."""
+        packing, right = self.problem.packing, torch.zeros_like(self.x)
+        right[packing.x_rows] = values[packing.vertices, 0]
+        right[packing.y_rows] = values[packing.vertices, 1]
+        return right
+
+    def by_coefficients(self, along: Tensor) -> Tensor:
+        """(4, T) the derivative by the targets' coefficients of the product of `along` and the energy's gradient."""
+        problem, packing = self.problem, self.problem.packing
+        with torch.enable_grad():
+            known = torch.stack(list(problem.target)).detach().requires_grad_()  # type: ignore[arg-type]
+            at = torch.cat([self.x, packing.anchored]).detach().requires_grad_()
+            t = Corners(*at[packing.rows.long()])
+            phi = problem.energy.value(*invariants(t, Target(*known)))
+            (gradient,) = torch.autograd.grad(phi.sum(), at, create_graph=True)
+            (out,) = torch.autograd.grad((gradient[: len(along)] * along).sum(), known)
+        # In the packing's unit of length, coefficients are larger by its square.
+        unit = spread(packing.unit, packing.triangle_offsets)
+        return out * unit * unit
 
 
 class _Minimum(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, points: Tensor, state: _State, options: LayerOptions) -> Tensor:
+    def forward(ctx: Any, points: Tensor, coefficients: Tensor | None, state: _State, options: LayerOptions) -> Tensor:
         ctx.state, ctx.options = state, options
+        ctx.count = None if coefficients is None else coefficients.shape[1]
+        ctx.save_for_backward(points, coefficients)
         # Fixed vertices keep the points that the caller gave, so that their gradient passes.
         return torch.where(state.fixed[:, None], points, state.points)
 
     @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
-        state, packing = ctx.state, ctx.state.packing
-        wide = gradient.to(torch.float64)
-        right = torch.zeros_like(packing.unknowns)
-        right[packing.x_rows] = wide[packing.vertices, 0]
-        right[packing.y_rows] = wide[packing.vertices, 1]
-        # The transpose of the formula above, applied to the gradient; the Hessian is symmetric.
-        solution = solve(
-            state.hessian,
-            right,
-            packing.block_offsets * BLOCK,
-            tolerance=ctx.options.cg_tolerance,
-            max_iterations=ctx.options.cg_iterations,
-        )
-        beyond = state.hessian.size - len(right)
-        through = (state.hessian @ torch.cat([solution.x, right.new_zeros(beyond)]))[len(right) :]
-        out = torch.where(state.fixed[:, None], wide, 0.0)
-        out[state.anchors] -= through.reshape(2, -1).T
-        return out.to(gradient), None, None
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        given = ctx.saved_tensors
+        with torch.no_grad():
+            out, of_targets = _gradients(ctx, gradient)
+        if torch.is_grad_enabled():  # somebody may want to derive the gradient
+            depends = [tensor for tensor in (gradient, *given) if tensor is not None]
+            out, of_targets = (
+                None if g is None else FirstOnly.apply("a layer of torchmesh.nn", g, *depends)
+                for g in (out, of_targets)
+            )
+        return out, of_targets, None, None
+
+    @staticmethod
+    def jvp(ctx: Any, motion: Tensor | None, of_targets: Tensor | None, *_: None) -> Tensor:
+        """dx_I = - H_II^-1 H_IB dx_B."""
+        state = ctx.state
+        if of_targets is not None:
+            raise NotImplementedError("layers have no forward derivative by targets and sizes; use backward()")
+        assert motion is not None
+        wide = torch.where(state.fixed[:, None], motion.to(torch.float64), 0.0)
+        of_anchors = torch.cat([torch.zeros_like(state.x), wide[state.anchors].T.reshape(-1)])
+        right = (state.hessian @ of_anchors)[: len(state.x)]
+        inside = state.solved(-right, ctx.options)
+        packing = state.problem.packing
+        wide[packing.vertices, 0], wide[packing.vertices, 1] = inside[packing.x_rows], inside[packing.y_rows]
+        return wide.to(motion)
 
 
-def _minimise(start: MeshBatch, options: LayerOptions) -> tuple[_State, LayerInfo]:
+def _gradients(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor | None]:
+    """The gradients by points (V, 2) and by the coefficients (4, T) of targets, if there are any."""
+    state: _State = ctx.state
+    packing = state.problem.packing
+    wide = gradient.to(torch.float64)
+    # The transpose of the formula above, applied to the gradient; the Hessian is symmetric.
+    along = state.solved(state.packed(wide), ctx.options)
+    through = (state.hessian @ torch.cat([along, along.new_zeros(state.hessian.size - len(along))]))[len(along) :]
+    out = torch.where(state.fixed[:, None], wide, 0.0)
+    out[state.anchors] -= through.reshape(2, -1).T
+    if ctx.count is None or not ctx.needs_input_grad[1]:
+        return out.to(gradient), None
+    of_targets = wide.new_zeros((4, ctx.count))
+    # Positions are larger than unknowns by the packing's unit of length.
+    unit = spread(packing.unit, state.problem.rows)
+    of_targets[:, packing.triangles] = -state.by_coefficients(along * unit)
+    return out.to(gradient), of_targets
+
+
+def _minimise(
+    start: MeshBatch, options: LayerOptions, aims: Aims, coefficients: Tensor | None
+) -> tuple[_State, LayerInfo]:
     """Newton's method from `start`, each valid mesh with its own step and stopping test."""
     valid = ~segment_any(~upright(start), start.triangle_offsets)
     packing = _packed(start, valid)
-    x, step = _newton(_Problem(start, packing, options), packing.unknowns, valid)
+    x, step = _newton(_Problem(start, packing, options, aims, coefficients), packing.unknowns, valid)
     points = packing.unpack(x, start.points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh stays where it started.
     flat = segment_any(~upright(start.with_points(points)), start.triangle_offsets) & valid
@@ -170,9 +246,10 @@ def _minimise(start: MeshBatch, options: LayerOptions) -> tuple[_State, LayerInf
         # Only meshes at a minimum have a derivative.
         at = _packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
         x = at.unknowns
-    state = _State(points, at, _anchors(start, at), _Problem(start, at, options).hessian(x), start.fixed)
+    problem = _Problem(start, at, options, aims, coefficients)
+    state = _State(points, problem, x, _anchors(start, at), start.fixed)
     status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
-    return state, LayerInfo(valid, converged, step, status)
+    return state, LayerInfo(valid, converged, step, status, start.with_points(points))
 
 
 def _packed(start: MeshBatch, which: Tensor, points: Tensor | None = None) -> Packing:
@@ -188,9 +265,14 @@ class _Problem:
     rows  (B+1,) the unknowns of each mesh
     """
 
-    def __init__(self, start: MeshBatch, packing: Packing, options: LayerOptions) -> None:
+    def __init__(
+        self, start: MeshBatch, packing: Packing, options: LayerOptions, aims: Aims, coefficients: Tensor | None
+    ) -> None:
         self.packing, self.options = packing, options
-        self.energy, self.target = options.smooth.energy, equilateral()
+        self.energy, self.target = aims.energy(options.smooth), equilateral()
+        if coefficients is not None:
+            unit = spread(packing.unit, packing.triangle_offsets)
+            self.target = Target(*(coefficients.detach()[:, packing.triangles] * unit * unit))
         self.rows = packing.block_offsets * BLOCK
         size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
         self.size = torch.where(size > 0, size, 1.0)
@@ -226,12 +308,14 @@ def _newton(problem: _Problem, x: Tensor, valid: Tensor) -> tuple[Tensor, Tensor
         enough = step.clamp(options.cg_tolerance, options.first_cg_tolerance)
         newton = solve(hessian, descent, rows, tolerance=enough, max_iterations=options.cg_iterations)
         move = problem.largest_move(newton.x)
-        step = torch.where(running, torch.where(newton.converged, move, torch.inf), step)
         near = running & newton.converged & (move < options.near)
+        # What is left to move after a step near the minimum: the rest of the linear system, and a square.
+        left = torch.where(near, move * (_LEFT * (enough + move)).clamp_max(1.0), move)
+        step = torch.where(running, torch.where(newton.converged, left, torch.inf), step)
         x = torch.where(spread(near, rows), x + newton.x, x)
         x, energy, accepted = _line_search(x, newton.x, descent, energy, running & ~near, rows, problem.energies,
                                            options.halvings)  # fmt: skip
-        running = (near & (move >= options.tolerance)) | accepted
+        running = (near & (left >= options.tolerance)) | accepted
         if not bool(running.any()):
             break
     return x, step
