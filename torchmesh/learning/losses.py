@@ -19,13 +19,12 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
-from ..mesh.batch import MeshBatch, triangle_mesh
-from ..mesh.measure import refuse_inverted
-from ..mesh.ragged import counts_from_offsets, segment_sum, spread
-from ..mesh.triangle import SQRT3, corners, signed_area
+from ..mesh.batch import MeshBatch
+from ..mesh.ragged import counts_from_offsets, owner_of
+from ..mesh.triangle import corners
 from ..optimising.energies import InverseMeanRatio, Regularised, UntangleBeta, whole_power
-from ..optimising.jacobian import Target, equilateral, invariants, target_of
-from ..untangling.local_size import local_size
+from ..optimising.jacobian import Target, equilateral, invariants
+from .scales import local_sides, mean_side, own_targets
 
 __all__ = ["inverse_mean_ratio", "minimum_jacobian", "regularised", "untangle_beta"]
 
@@ -55,7 +54,7 @@ def inverse_mean_ratio(
         raise ValueError(f"power must be at least 1, not {power}")
     if not limit > 1:
         raise ValueError(f"limit must be above 1, the ideal, not {limit}")
-    stretch, det = _invariants(points, mesh, equilateral(_mean_side(points, mesh)))
+    stretch, det = _invariants(points, mesh, equilateral(mean_side(mesh).to(points)))
     lowest = 1 / limit
     # The stretch is 2 for an equilateral triangle of mean area: only triangles of (nearly) no size are changed by this.
     stretch = stretch + _NO_SIZE
@@ -75,7 +74,7 @@ def untangle_beta(points: Tensor, mesh: MeshBatch, *, beta: float = 0.01, per: P
     if not beta >= 0:
         raise ValueError(f"beta must not be negative, but is {beta}")
     # An equilateral triangle of the mean area has det = 1: half its determinant is half its area.
-    stretch, det = _invariants(points, mesh, equilateral(_mean_side(points, mesh)))
+    stretch, det = _invariants(points, mesh, equilateral(mean_side(mesh).to(points)))
     return _reduced(UntangleBeta(beta).value(stretch, 2 * det), mesh, per)
 
 
@@ -99,11 +98,7 @@ def regularised(
         raise ValueError(f"eps must be positive, not {eps}: at 0 the loss of a flat triangle is infinite")
     if not 0 <= theta < 1:
         raise ValueError(f"theta must be from 0 to below 1, not {theta}")
-    if reference:
-        target = _reference(points, mesh)
-    else:
-        with torch.no_grad():
-            target = equilateral(local_size(mesh)[mesh.triangles].mean(1).to(points))
+    target = _reference(points, mesh) if reference else equilateral(local_sides(mesh).to(points))
     return _reduced(Regularised(eps, theta).value(*_invariants(points, mesh, target)), mesh, per)
 
 
@@ -118,10 +113,10 @@ def minimum_jacobian(
 
     Per mesh only the worst triangle has a gradient (equally bad ones share it); per triangle each has its own.
     """
-    target = _reference(points, mesh) if reference else equilateral(_mean_side(points, mesh))
+    target = _reference(points, mesh) if reference else equilateral(mean_side(mesh).to(points))
     _, det = _invariants(points, mesh, target)
     if per == "mesh":
-        owner = triangle_mesh(mesh)
+        owner = _owner(mesh)
         det = det.new_full((len(mesh),), torch.inf).scatter_reduce(0, owner, det, "amin")
         return (threshold - det).clamp_min(0)
     return _reduced((threshold - det).clamp_min(0), mesh, per)
@@ -133,22 +128,15 @@ def _invariants(points: Tensor, mesh: MeshBatch, target: Target) -> tuple[Tensor
     return invariants(corners(points, mesh.triangles), target)
 
 
-@torch.no_grad()
-def _mean_side(points: Tensor, mesh: MeshBatch) -> Tensor:
-    """(T,) side of the equilateral triangle that has the mean absolute area of the mesh in `mesh`."""
-    area = signed_area(corners(mesh.points.to(torch.float64), mesh.triangles)).abs()
-    offsets = mesh.triangle_offsets
-    mean = segment_sum(area, offsets) / counts_from_offsets(offsets)
-    side = torch.where(mean > 0, (mean * (4 / SQRT3)).sqrt(), 1.0)
-    return spread(side, offsets).to(points)
-
-
-@torch.no_grad()
 def _reference(points: Tensor, mesh: MeshBatch) -> Target:
     """Each triangle of `mesh` as the target of itself."""
-    refuse_inverted(mesh, ", so it is no reference; give the undeformed mesh, or reference=False")
-    target = target_of(corners(mesh.points.to(torch.float64), mesh.triangles))
-    return Target(*(torch.as_tensor(v).to(points) for v in target))
+    return Target(*own_targets(mesh).to(points))
+
+
+def _owner(mesh: MeshBatch) -> Tensor:
+    """(T,) the mesh of each triangle, by an operation whose result has a size that is known beforehand."""
+    rows = torch.arange(mesh.triangles.shape[0], device=mesh.triangles.device)
+    return owner_of(rows, mesh.triangle_offsets)
 
 
 def _reduced(values: Tensor, mesh: MeshBatch, per: Per) -> Tensor:
@@ -156,5 +144,5 @@ def _reduced(values: Tensor, mesh: MeshBatch, per: Per) -> Tensor:
         return values
     if per != "mesh":
         raise ValueError(f"per must be 'mesh' or 'triangle', not {per!r}")
-    sums = values.new_zeros(len(mesh)).index_add(0, triangle_mesh(mesh), values)
+    sums = values.new_zeros(len(mesh)).index_add(0, _owner(mesh), values)
     return sums / counts_from_offsets(mesh.triangle_offsets)

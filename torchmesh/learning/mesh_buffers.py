@@ -17,9 +17,8 @@ _PREFIX = "mesh_"
 _DOUBLE = ("frames",)
 
 
-def mesh_fields() -> list[str]:
-    """The fields of a `MeshBatch` that hold what it is, not what is known of it."""
-    return [f.name for f in dataclasses.fields(MeshBatch) if not f.name.startswith("_")]
+# The fields of a `MeshBatch` that hold what it is, not what is known of it.
+MESH_FIELDS = tuple(f.name for f in dataclasses.fields(MeshBatch) if not f.name.startswith("_"))
 
 
 class WithMesh(nn.Module):
@@ -36,7 +35,7 @@ class WithMesh(nn.Module):
     @property
     def mesh(self) -> MeshBatch | None:
         """The mesh, of the tensors that the module has now."""
-        tensors = {name: self._buffers.get(_PREFIX + name) for name in mesh_fields()}
+        tensors = {name: self._buffers.get(_PREFIX + name) for name in MESH_FIELDS}
         if tensors["points"] is None:
             return None
         known = self._known
@@ -50,7 +49,7 @@ class WithMesh(nn.Module):
         if mesh is not None and not isinstance(mesh, MeshBatch):
             raise InvalidMeshError(f"the mesh of a layer must be a MeshBatch or None, not {type(mesh).__name__}")
         self._known = mesh
-        for name in mesh_fields():
+        for name in MESH_FIELDS:
             self.register_buffer(_PREFIX + name, None if mesh is None else getattr(mesh, name))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> "WithMesh":
@@ -68,7 +67,7 @@ class WithMesh(nn.Module):
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
         """Take the mesh of the state, which may have other numbers of vertices and triangles."""
-        for name in mesh_fields():
+        for name in MESH_FIELDS:
             saved = state_dict.get(prefix + _PREFIX + name)
             if saved is None:
                 continue

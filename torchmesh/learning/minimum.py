@@ -33,8 +33,8 @@ from .refusals import FirstOnly
 # The part of the decrease that the slope promises which a step must reach (Armijo's condition).
 _DECREASE = 1e-4
 
-# After a full Newton step of m near the minimum (in local edge lengths), less than this times m squared, and times m and
-# the tolerance of the linear system, is left to move.  A tenth of that was measured on jittered squares.
+# After a full Newton step of m near the minimum (in local edge lengths) less than this times m squared, and m times
+# the tolerance of the linear system, is left to move.  A tenth of it was measured on jittered squares.
 _LEFT = 10.0
 
 

@@ -154,13 +154,14 @@ class _Layer(WithMesh):
 
 def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> MeshBatch:
     """The given meshes with the interior of `start`, carried along with the boundary where that is needed and helps."""
-    other = start if isinstance(start, MeshBatch) else given.with_points(start.detach())
-    if other.points.shape != given.points.shape or other.triangles.shape != given.triangles.shape:
+    points = start.points if isinstance(start, MeshBatch) else start
+    triangles, twin = (start.triangles, start._twin) if isinstance(start, MeshBatch) else (given.triangles, given._twin)
+    if points.shape != given.points.shape or triangles.shape != given.triangles.shape:
         raise InvalidMeshError(
             f"start must have the {len(given.points)} points and {len(given.triangles)} triangles of the batch, not "
-            f"{len(other.points)} and {len(other.triangles)}"
+            f"{len(points)} and {len(triangles)}"
         )
-    before = replace(given, points=other.points.detach().to(given.points), triangles=other.triangles, _twin=other._twin)
+    before = replace(given, points=points.detach().to(given.points), triangles=triangles, _twin=twin)
     fixed = given.fixed[:, None]
     warm = before.with_points(torch.where(fixed, given.points, before.points))
     bad = segment_any(~upright(warm), warm.triangle_offsets) & ~unfit
