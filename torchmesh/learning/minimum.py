@@ -188,10 +188,9 @@ class _Minimum(torch.autograd.Function):
             out, of_targets = _gradients(ctx, gradient)
         if torch.is_grad_enabled():  # somebody may want to derive the gradient
             depends = [tensor for tensor in (gradient, *given) if tensor is not None]
-            out, of_targets = (
-                None if g is None else FirstOnly.apply("a layer of torchmesh.nn", g, *depends)
-                for g in (out, of_targets)
-            )
+            name = "a layer of torchmesh.nn"
+            first = [None if g is None else FirstOnly.apply(name, g, *depends) for g in (out, of_targets)]
+            return first[0], first[1], None, None
         return out, of_targets, None, None
 
     @staticmethod

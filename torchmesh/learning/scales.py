@@ -27,7 +27,10 @@ def mean_side(mesh: MeshBatch) -> Tensor:
 
 
 def own_targets(mesh: MeshBatch) -> Tensor:
-    """(4, T) float64 the coefficients (`Target`) of each triangle as the target of itself.  Raises InvalidMeshError where one is inverted."""
+    """(4, T) float64 the coefficients (`Target`) of each triangle as the target of itself.
+
+    Raises InvalidMeshError where one is inverted.
+    """
     return _own_targets(_tensors(mesh))
 
 
