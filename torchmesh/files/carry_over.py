@@ -101,10 +101,13 @@ def _is_transferred(fields: FieldTransfer | None, name: str, values: np.ndarray,
 def _survives(old: Correspondence, name: str, values: np.ndarray, regions: tuple[str, ...]) -> bool:
     """Does cell data, whose rows of triangles are `values`, hold for changed triangles?
 
-    Region tags do, if the regions can be told; so do the numbers of the rows, if the rows are the same.
+    Region tags do, if the regions can be told; so do the numbers of the rows, if the rows are the same; and so do whole
+    numbers that are the same in all triangles.
     """
     if name in regions:
         return old.example is not None
+    if values.dtype.kind in "iub" and bool((values == values[:1]).all()):
+        return True
     return old.same_rows and is_numbering(values)
 
 

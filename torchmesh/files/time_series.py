@@ -7,9 +7,7 @@ one mesh are one mesh of the batch:
     meshes    0  0  1  2  2        series.mesh_of_step
 """
 
-import copy
 import os
-import re
 import tempfile
 import warnings
 import xml.etree.ElementTree as ET
@@ -28,19 +26,13 @@ from .drafts import Draft
 from .field_transfer import FieldChoice, FieldSummary, FieldTransfer, check_choice, mesh_of_values
 from .formats.format import Document
 from .formats.registry import format_of
-from .formats.xdmf import XDMF, check_data_files, is_series
+from .formats.xdmf import XDMF, check_data_files, is_series, write_mixed
+from .formats.xdmf_text import alone
 from .mesh_files import draft
 from .messages import translated, warn
 from .pvd import is_pvd, pvd_steps, step_paths, write_pvd
 from .source import Source
 from .surface import HeightChoice
-
-_INCLUDE = re.compile(r"include$")
-
-# The two ways in which programs name the grid whose mesh a step has: meshio and ParaView by its name, others by its
-# number among the uniform grids.
-_NAMED = re.compile(r"""Grid\[@Name\s*=\s*["']([^"']*)["']\](?:/Grid\[(\d+)\])?""")
-_UNIFORM = re.compile(r"""Grid\[@GridType\s*=\s*["']Uniform["']\](?:\[(\d+)\])?""")
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +247,8 @@ class SeriesDraft:
         with tempfile.TemporaryDirectory() as folder:
             one = Path(folder) / f"{self.path.stem}.xdmf"
             for number, (time, step) in enumerate(zip(self.times, self.steps, strict=True)):
-                replace(step, path=one, like=None, same_rows=False).save()
+                with translated(self.path, "write", XDMF.name):
+                    write_mixed(one, step.content)
                 collection.append(_as_step(one, number, time))
         with replacing(self.path) as made:
             ET.ElementTree(root).write(made, encoding="utf-8", xml_declaration=True)
@@ -286,40 +279,10 @@ def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
                 raise ValueError(f"step {number} is a collection of grids; give each part its own file")
             time = grid.find("Time")
             value = float(time.get("Value", number)) if time is not None else float(number)
-            mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(_alone(domain, grid))
+            mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(alone(domain, grid))
             if mesh.points is None or not mesh.cells:
                 raise ValueError(f"step {number} has no Geometry or no Topology")
             steps.append((value, mesh))
     if not steps:
         raise MeshIOError(f"{path}: its time series has no steps")
     return steps
-
-
-def _alone(domain: ET.Element, grid: ET.Element) -> ET.Element:
-    """A document with one grid of `domain`, in which references to other grids are replaced by what they name."""
-    alone = ET.Element("Grid")
-    for part in grid:
-        if isinstance(part.tag, str) and _INCLUDE.search(part.tag):
-            alone.extend(_included(domain, part))
-        elif part.tag != "Time":
-            alone.append(part)
-    root = ET.Element("Xdmf", Version="3.0")
-    ET.SubElement(root, "Domain").append(alone)
-    return root
-
-
-def _included(domain: ET.Element, include: ET.Element) -> list[ET.Element]:
-    """The topology and geometry of the grid that an XInclude names."""
-    words = include.get("xpointer", "")
-    if found := _NAMED.search(words):
-        grids = [grid for grid in domain.iter("Grid") if grid.get("Name") == found[1]]
-        if grids and found[2]:
-            grids = grids[0].findall("Grid")[int(found[2]) - 1 :]
-    elif found := _UNIFORM.search(words):
-        grids = domain.findall("Grid[@GridType='Uniform']")[int(found[1] or 1) - 1 :]
-    else:
-        raise ValueError(f"the reference {words!r} is not understood")
-    parts = [copy.deepcopy(part) for grid in grids[:1] for part in grid if part.tag in ("Topology", "Geometry")]
-    if not parts:
-        raise ValueError(f"the reference {words!r} leads to no grid with Topology and Geometry")
-    return parts

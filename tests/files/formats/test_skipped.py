@@ -202,4 +202,6 @@ def test_names_units_and_times_of_med_xdmf_and_hmf(tmp_path):
     (tmp_path / "a.xdmf").write_text(
         (tmp_path / "a.xdmf").read_text().replace('<Grid Name="Grid"', '<Grid Name="plate"')
     )
-    assert lost(tmp_path / "a.xdmf", tmp_path / "b.xdmf") == ["the name 'plate'"]
+    assert lost(tmp_path / "a.xdmf", tmp_path / "b.vtu") == ["the name 'plate'"]
+    assert lost(tmp_path / "a.xdmf", tmp_path / "b.xdmf") == []  # the file is changed in place
+    assert '<Grid Name="plate"' in (tmp_path / "b.xdmf").read_text()

@@ -35,7 +35,7 @@ _XML_KNOWN = {
     "vtu": {"VTKFile", "UnstructuredGrid", "Piece", "Points", "Cells", "DataArray", "PointData", "CellData",
             "FieldData", "AppendedData"},
     "dolfin-xml": {"dolfin", "mesh", "vertices", "vertex", "cells", "triangle"},
-    "xdmf": {"Xdmf", "Domain", "Grid", "Geometry", "Topology", "DataItem", "Attribute"},
+    "xdmf": {"Xdmf", "Domain", "Grid", "xi", "Geometry", "Topology", "DataItem", "Attribute"},
 }  # fmt: skip
 
 
