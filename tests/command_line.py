@@ -159,7 +159,7 @@ def write_bad(folder: Path) -> None:
     points = np.pad(points, ((0, 0), (0, 1)))
     points[5, 1] = math.nan
     meshio.Mesh(points, [("triangle", triangles)]).write(folder / "nan.vtk", file_format="vtk42", binary=False)
-    meshio.Mesh(points[:4], [("quad", np.array([[0, 1, 2, 3]]))]).write(folder / "quads.vtu")
+    meshio.Mesh(points[:4], [("line", np.array([[0, 1], [2, 3]]))]).write(folder / "lines.vtu")
     folded = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [0.2, -0.5, 0], [2, 1, 0.0]])
     cells = [("quad", np.array([[0, 1, 4, 3]])), ("triangle", np.array([[1, 2, 5], [1, 5, 4]]))]
     meshio.Mesh(folded, cells).write(folder / "folded.vtk", file_format="vtk42", binary=False)

@@ -189,3 +189,34 @@ def crowded_square(cells: int = 14) -> MeshBatch:
     mesh = grid(cells, cells)
     pressed = torch.stack([mesh.points[:, 0] ** 2.5, mesh.points[:, 1]], 1)
     return mesh.with_points(torch.where(holding(mesh).fixed[:, None], mesh.points, pressed))
+
+
+def mixed_arrays(columns: int, rows: int, quads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of a grid, the triangles of its right part and the quads of its first columns, `quads` of them."""
+    points, halves = grid_arrays(columns, rows)
+    first, second = halves.reshape(2, -1, 3)
+    quad = np.concatenate([first, second[:, 2:]], 1)
+    left = np.arange(len(quad)) < quads * rows
+    return points, np.concatenate([first[~left], second[~left]]), quad[left]
+
+
+def mixed(columns: int = 6, rows: int = 5, quads: int = 3) -> MeshBatch:
+    """A grid of the unit square with quads in its first columns; `quads` may be all of the columns."""
+    points, triangles, rows_of_quads = mixed_arrays(columns, rows, quads)
+    return MeshBatch.from_arrays(points, triangles, quads=rows_of_quads)
+
+
+def quad_layers(sectors: int = 24, rows: int = 3, height: float = 0.01) -> MeshBatch:
+    """An annulus with thin rows of quads round its hole of radius 0.4, whose vertices are the first, and triangles."""
+    radius = 0.4 + height * np.cumsum([0.0, *[1.3**k for k in range(rows)]])
+    outer = np.linspace(radius[-1], 1.6, 7)[1:]
+    angle = 2 * np.pi * np.arange(sectors) / sectors
+    every = np.concatenate([radius, outer])
+    points = np.stack([np.outer(every, np.cos(angle)).ravel(), np.outer(every, np.sin(angle)).ravel()], 1)
+    k, i = np.meshgrid(np.arange(len(every) - 1), np.arange(sectors), indexing="ij")
+    a, b = (k * sectors + i).ravel(), (k * sectors + (i + 1) % sectors).ravel()
+    quads = np.stack([a, a + sectors, b + sectors, b], 1)
+    of_layer = (k < rows).ravel()
+    rest = quads[~of_layer]
+    triangles = np.concatenate([rest[:, [0, 1, 2]], rest[:, [0, 2, 3]]])
+    return MeshBatch.from_arrays(points, triangles, quads=quads[of_layer])

@@ -117,7 +117,7 @@ def test_a_folded_quad_makes_a_mesh_invalid(tmp_path):
     meshio.Mesh(points, cells).write(tmp_path / "folded.vtk", file_format="vtk42", binary=False)
     (result,) = improve_jobs([job(tmp_path, "folded.vtk")], ImproveOptions(), 1000)
     assert (result.valid, result.inverted_after) == (False, 1)
-    assert "1 quads have a corner that is not upright" in result.message
+    assert "1 quad (row 0) is inverted still" in result.message
 
 
 def test_a_batch_that_fails_is_done_mesh_by_mesh(jobs, monkeypatch):

@@ -25,7 +25,7 @@ BAD = {
     "unknown extension": (["improve", "unknown.foo", "out.vtu"], "'.foo' is not known"),
     "truncated": (["improve", "broken.vtu", "out.vtu"], "broken.vtu: cannot be read"),
     "not a number": (["improve", "nan.vtk", "out.vtu"], "points row 5 is"),
-    "no triangles": (["improve", "quads.vtu", "out.vtu"], "quads.vtu: no triangles"),
+    "no triangles": (["improve", "lines.vtu", "out.vtu"], "lines.vtu: no triangles"),
     "no output directory": ([*TO, "nowhere/out.vtu"], "does not exist"),
     "unknown output extension": ([*TO, "out.foo"], "'.foo' is not known"),
     "output is a directory": ([*TO, "folder.vtu"], "folder.vtu: is a directory"),

@@ -1,4 +1,4 @@
-"""Lines, vertex cells and quads of a file bind its triangles."""
+"""Lines and vertex cells of a file bind its triangles, and quads are elements beside them."""
 
 import meshio
 import numpy as np
@@ -31,15 +31,18 @@ def test_vertex_cells_are_fixed_unless_all_vertices_have_one(tmp_path):
     assert not read(save(tmp_path / "a.vtu", every)).fixed[12]
 
 
-def test_quads_stay_and_hold_their_vertices(tmp_path):
+def test_quads_are_elements_and_stay_in_their_rows(tmp_path):
     points, faces = grid_arrays()
     more = np.concatenate([points, [[0, -1, 0], [1 / 3, -1, 0], [5, 5, 0]]])
     quad = np.array([[25, 26, 1, 0]])
-    mixed = meshio.Mesh(more[:27], [("quad", quad), ("triangle", faces)], cell_data={"id": [[9], np.zeros(32, int)]})
+    mixed = meshio.Mesh(
+        more[:27], [("quad", quad), ("triangle", faces)], cell_data={"material": [[9], np.zeros(32, int)]}
+    )
     source = save(tmp_path / "in.vtu", mixed)
     mesh = read(source)  # no warning: 25 and 26 belong to the quad
     assert len(mesh.points) == 27
-    assert mesh.fixed[[0, 1, 25, 26]].all()
+    assert mesh.quads.tolist() == quad.tolist()
+    assert mesh.fixed[[0, 25, 26]].all()
     write(tmp_path / "out.vtu", moved(flipped(mesh)), like=source)
     after = load(tmp_path / "out.vtu")
     np.testing.assert_array_equal(after.cells_dict["quad"], quad)

@@ -121,8 +121,8 @@ def broken(tmp_path: Path, case: str) -> Path:
             points[:, 0], points[:, 2] = np.sin(turn), np.cos(turn)  # an arch that bends in again at both feet
         save(path, meshio.Mesh(points, [("triangle", faces)]))
     else:
-        kind = {"quads": "quad", "tetrahedra": "tetra", "second order": "triangle6", "no cells": "line"}[case]
-        rows = np.arange({"quad": 4, "tetra": 4, "triangle6": 6, "line": 2}[kind])[None]
+        kind = {"eight nodes": "quad8", "tetrahedra": "tetra", "second order": "triangle6", "no cells": "line"}[case]
+        rows = np.arange({"quad8": 8, "tetra": 4, "triangle6": 6, "line": 2}[kind])[None]
         save(path, meshio.Mesh(points, [(kind, rows)]), file_format="vtu")
     return path
 
@@ -139,7 +139,7 @@ def broken(tmp_path: Path, case: str) -> Path:
         ("no extension", MeshIOError, "no extension"),
         ("nan", InvalidMeshError, "points row 7 .*finite"),
         ("off the plane", InvalidMeshError, "points row .* off the plane.*no map of a plane: it bends over at"),
-        ("quads", InvalidMeshError, "no triangles: it has quad cells only"),
+        ("eight nodes", InvalidMeshError, "no triangles: it has quad8 cells only"),
         ("no cells", InvalidMeshError, "no triangles: it has line cells only"),
         ("tetrahedra", InvalidMeshError, "tetra cells; only planar"),
         ("second order", InvalidMeshError, r"second-order triangles \(triangle6\); convert"),

@@ -21,7 +21,9 @@ HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 
 def same(a: MeshBatch, b: MeshBatch) -> bool:
     """Every tensor of the two has the same values and dtype."""
-    pairs = [(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(MeshBatch) if f.name != "_twin"]
+    pairs = [
+        (getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(MeshBatch) if not f.name.startswith("_")
+    ]
     return all(torch.equal(x, y) and x.dtype == y.dtype for x, y in pairs)
 
 

@@ -149,14 +149,10 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     report, rows = improved.report, improved.rows
     facts |= _quality_facts("before", improved.before, opened.series.batch.split(), rows)
     facts |= _quality_facts("after", report.quality, improved.meshes, rows)
-    quads = improved.inverted_quads()
     failed = (~report.valid[rows]).nonzero().squeeze(1).tolist()
     shown = rows.start + (failed[0] if failed else 0)
     many = f"mesh {failed[0]} of {len(improved.meshes)}: " if failed and len(improved.meshes) > 1 else ""
     facts["message"] = many + report.messages[shown]
-    if quads:
-        facts["inverted_after"] += quads
-        facts["message"] += f"; {quads:,} quads have a corner that is not upright, and their vertices are held"
     target = Path(job.output)
     # A process number alone is not unique, because the machines of a cluster may share the folder.
     folder = Path(job.staging) / f"{socket.gethostname()}-{os.getpid()}"
@@ -174,7 +170,7 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
         file=job.file,
         output=job.output,
         status=Status(int(report.status[shown])).name.lower(),
-        valid=not failed and not quads,
+        valid=not failed,
         seconds=opened.seconds + time.perf_counter() - started,
         **facts,
     )

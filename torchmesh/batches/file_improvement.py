@@ -35,13 +35,6 @@ def open_mesh(path: str | os.PathLike[str], regions: str | None = None) -> Serie
     return read_series(path, regions=regions)
 
 
-def quad_counts(given: Series, batch: MeshBatch) -> tuple[int, int]:
-    """How many quads the meshes of a file have, and how many of them are inverted where the vertices of `batch` are."""
-    meshes = zip(given.first_sources(), batch.split(), strict=True)
-    counts = [(len(source.quads), len(source.inverted_quads(mesh.points))) for source, mesh in meshes]
-    return sum(count for count, _ in counts), sum(inverted for _, inverted in counts)
-
-
 @dataclass(frozen=True, eq=False)
 class ImprovedFile:
     """The improved meshes of one file, and what is needed to write them.
@@ -64,20 +57,6 @@ class ImprovedFile:
     vertex_maps: list[VertexMap] | None
     fields: FieldChoice = "interpolate"
     height: HeightChoice = "interpolate"
-
-    def inverted_quads(self) -> int:
-        """How many quads of the file, in all its meshes, have a corner that is not upright."""
-        count = 0
-        for b, mesh in enumerate(self.meshes):
-            source = self.given.sources[self.given.mesh_of_step.index(b)]
-            if not len(source.quads):
-                continue
-            points = mesh.points
-            if self.vertex_maps is not None:
-                # Vertices of quads are fixed, so none of them goes.
-                points = points[self.vertex_maps[b].old_to_new.clamp_min(0)]
-            count += len(source.inverted_quads(points))
-        return count
 
     def message(self) -> str:
         """Why the improvement ended, of the first mesh that is not valid, or of the first one."""

@@ -18,6 +18,8 @@ from .shared_options import (
     InterfacesOption,
     Method,
     MethodOption,
+    Quads,
+    QuadsOption,
     QuietOption,
     RegionsOption,
     Scope,
@@ -45,6 +47,7 @@ def animate(
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
+    quads: QuadsOption = Quads.keep,
     beta: BetaOption = None,
     regions: RegionsOption = None,
     step: StepOption = None,
@@ -62,7 +65,7 @@ def animate(
     from ..pictures.films import animate as write_film
     from ..pictures.films import check_film_path
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes, quads)
     check_distinct(source, film)
     check_film_path(film)
     given = open_mesh(source, regions)

@@ -23,6 +23,8 @@ from .shared_options import (
     InterfacesOption,
     Method,
     MethodOption,
+    Quads,
+    QuadsOption,
     QuietOption,
     RegionsOption,
     Scope,
@@ -91,6 +93,7 @@ def batch(
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
+    quads: QuadsOption = Quads.keep,
     regions: RegionsOption = None,
     fields: FieldsOption = Fields.interpolate,
     suffix: Annotated[
@@ -118,7 +121,7 @@ def batch(
     """
     from ..batches.runs import BUDGET, Run
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes, quads)
     try:
         run = Run.plan(
             sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value, regions

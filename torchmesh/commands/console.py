@@ -197,39 +197,41 @@ def version() -> str:
     return version("torchmesh-untangle")
 
 
-# Why inverted quads are still there.
-QUADS_STAY = "the vertices of quads are held, so a quad with a corner that is not upright is not mended"
+def inverted_text(q: "Quality") -> str:
+    """'3 inverted triangles and 1 inverted quad'; empty if there are none."""
+    quads = int((~q.quad_upright).sum())
+    triangles = int(q.inverted.sum()) - quads
+    parts = ((triangles, "inverted triangle"), (quads, "inverted quad"))
+    return " and ".join(counted(count, noun) for count, noun in parts if count)
 
 
-def verdict(where: str, q: "Quality", message: str = "", quads: int = 0) -> int:
-    """Says it if a mesh has inverted triangles, and returns the exit status: 1 if it has any, else 0.
+def verdict(where: str, q: "Quality", message: str = "") -> int:
+    """Says it if a mesh has inverted triangles or quads, and returns the exit status: 1 if it has any, else 0.
 
-    where    words that follow the count, as "in better.vtu"
+    where    words that follow the count, as in "better.vtu"
     message  why the improvement ended, if that is known
-    quads    inverted quads, which are as bad as inverted triangles
     """
-    inverted = int(q.inverted.sum())
+    inverted = inverted_text(q)
     if inverted:
         reason = f" ({message})" if message else ""
-        say(f"not valid: {counted(inverted, 'inverted triangle')} {where}{reason}")
-    if quads:
-        say(f"not valid: {counted(quads, 'inverted quad')} {where}; {QUADS_STAY}")
-    return int(inverted + quads > 0)
+        say(f"not valid: {inverted} {where}{reason}")
+    return int(bool(inverted))
 
 
-def record(mesh: "MeshBatch", q: "Quality", quads: tuple[int, int] | None = None) -> dict[str, Any]:
+def record(mesh: "MeshBatch", q: "Quality") -> dict[str, Any]:
     """Counts and quality of the meshes of a file, all together, as plain values.
 
-    quads  how many quads the file has, and how many of them are inverted; None or (0, 0): it has none
+    `inverted` counts triangles, and `inverted_quads` quads, where there are any.
     """
     from ..mesh.measure import minimum_angle
 
-    sizes = mesh.triangle_offsets.diff().double()
+    quads = int((~q.quad_upright).sum())
+    sizes = (mesh.triangle_offsets + mesh.quad_offsets).diff().double()
     return {
         "triangles": len(mesh.triangles),
         "vertices": len(mesh.points),
-        "inverted": int(q.inverted.sum()),
-        **({"quads": quads[0], "inverted_quads": quads[1]} if quads is not None and quads[0] else {}),
+        "inverted": int(q.inverted.sum()) - quads,
+        **({"quads": len(mesh.quads), "inverted_quads": quads} if len(mesh.quads) else {}),
         "imr_average": float(q.mean[0] if len(mesh) == 1 else q.mean.double() @ (sizes / sizes.sum())),
         "imr_maximum": float(q.max.max()),
         "minimum_angle": float(minimum_angle(mesh).min()),

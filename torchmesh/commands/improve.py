@@ -26,6 +26,8 @@ from .shared_options import (
     InterfacesOption,
     Method,
     MethodOption,
+    Quads,
+    QuadsOption,
     QuietOption,
     RegionsOption,
     Scope,
@@ -102,6 +104,7 @@ def improve(
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
+    quads: QuadsOption = Quads.keep,
     reference: ReferenceOption = None,
     beta: BetaOption = None,
     regions: RegionsOption = None,
@@ -128,7 +131,7 @@ def improve(
     from ..batches.file_improvement import improve_series, open_mesh
     from ..files.time_series import check_steps
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes, quads)
     target = target_of(source, target, in_place)
     _check_targets(source, target, report, plot)
     use_threads(threads)
@@ -144,7 +147,7 @@ def improve(
         draft = improved.draft(target)
         if strict:
             draft.refuse()
-        quads, columns = improved.inverted_quads(), _columns(improved)
+        columns = _columns(improved)
         document = {
             "torchmesh": console.version(),
             "input": console.told(str(source)),
@@ -155,6 +158,7 @@ def improve(
             "interfaces": options.at_interfaces,
             "scope": scope.value,
             "shapes": shapes.value,
+            "quads": quads.value,
             "reference": None if reference is None else str(reference),
             "beta": beta,
             "regions_by": _told_by(improved.given.sources[0]),
@@ -162,7 +166,7 @@ def improve(
             "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
             **columns,
-            **_outcome(improved, quads),
+            **_outcome(improved),
         }
         _write(improved, draft, report, document, plot, source.name)
     if not quiet:
@@ -171,24 +175,21 @@ def improve(
             _print_steps(improved)
         _print_notes(improved.report, draft)
         _print_told_by(improved.given.sources[0])
-    return console.verdict(f"in {target}", improved.report.quality, improved.message(), quads)
+    return console.verdict(f"in {target}", improved.report.quality, improved.message())
 
 
 def _columns(improved: "ImprovedFile") -> dict[str, dict[str, Any]]:
     """The figures of the meshes before and after, those of all steps together."""
-    from ..batches.file_improvement import quad_counts
     from ..mesh.batch import join
 
-    quads = quad_counts(improved.given, improved.given.batch)
-    after = join(improved.meshes)
     return {
-        "before": console.record(improved.given.batch, improved.before, quads),
-        "after": console.record(after, improved.report.quality, (quads[0], improved.inverted_quads())),
+        "before": console.record(improved.given.batch, improved.before),
+        "after": console.record(join(improved.meshes), improved.report.quality),
     }
 
 
-def _outcome(improved: "ImprovedFile", quads: int) -> dict[str, Any]:
-    """The record of the report on the one mesh; with inverted quads the mesh is neither valid nor certified.
+def _outcome(improved: "ImprovedFile") -> dict[str, Any]:
+    """The record of the report on the one mesh.
 
     Of a time series: whether all are valid and certified, and the record of each mesh with its steps.
     """
@@ -202,8 +203,6 @@ def _outcome(improved: "ImprovedFile", quads: int) -> dict[str, Any]:
             "message": improved.message(),
             "meshes": [one | own for one, own in zip(steps, records, strict=True)],
         }
-    if quads:
-        record |= {"valid": False, "certified": False, "message": f"{record['message']}; {console.QUADS_STAY}"}
     return record
 
 

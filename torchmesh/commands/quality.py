@@ -93,12 +93,13 @@ def quality(
 
 def _metric_names(option: str | None) -> list[str]:
     """The names that `--metrics` lists; raises UsageError for one that does not exist."""
-    from ..mesh.metrics import METRICS
+    from ..mesh.metrics import METRICS, QUAD_METRICS
 
-    names = [] if option is None else list(METRICS) if option == "all" else option.split(",")
+    known = {**METRICS, **QUAD_METRICS}
+    names = [] if option is None else list(known) if option == "all" else option.split(",")
     for name in names:
-        if name not in METRICS:
-            raise UsageError(f"--metrics: there is no {name!r}; there are all, {', '.join(METRICS)}")
+        if name not in known:
+            raise UsageError(f"--metrics: there is no {name!r}; there are all, {', '.join(known)}")
     return names
 
 
@@ -109,23 +110,30 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
     """All that was asked about one file, or about the mesh of these steps of it, as plain values."""
     from ..files.own_numbers import triangle_numbers
     from ..mesh.measure import quality as measure
-    from ..mesh.metrics import evaluate
+    from ..mesh.metrics import evaluate, known_metrics
 
     mesh = source.mesh
     q = measure(mesh)
-    folded = source.inverted_quads().tolist()
+    folded = (~q.quad_upright).nonzero().squeeze(1).tolist()
     record = {
         "file": console.told(str(source.path)),
         **({"steps": steps} if steps else {}),
-        **console.record(mesh, q, (len(source.quads), len(folded))),
+        **console.record(mesh, q),
         "worst": _worst(mesh, q, worst, triangle_numbers(source.document)),
     }
-    if len(source.quads):
+    if len(mesh.quads):
         record["rows_of_inverted_quads"] = folded
     if sizes is not None:
         record["edge_length_over_size"] = _size_record(mesh, _sizes_wanted(sizes, source))
     if names:
-        record["metrics"] = {name: s.records()[0] for name, s in evaluate(mesh, names).items()}
+        has = known_metrics(mesh)
+        wanted = [name for name in names if name in has]
+        if len(wanted) < len(names) and not set(has) <= set(names):
+            missing = next(name for name in names if name not in has)
+            raise UsageError(
+                f"--metrics: there is no {missing!r}; there are all, {', '.join(has)}, and {source.path} has no quads"
+            )
+        record["metrics"] = {name: s.records()[0] for name, s in evaluate(mesh, wanted).items()}
     return record
 
 

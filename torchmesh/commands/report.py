@@ -20,6 +20,8 @@ from .shared_options import (
     InterfacesOption,
     Method,
     MethodOption,
+    Quads,
+    QuadsOption,
     QuietOption,
     RegionsOption,
     Scope,
@@ -70,6 +72,7 @@ def report(
     interfaces: InterfacesOption = None,
     scope: ScopeOption = Scope.all,
     shapes: ShapesOption = Shapes.auto,
+    quads: QuadsOption = Quads.keep,
     beta: BetaOption = None,
     regions: RegionsOption = None,
     step: StepOption = None,
@@ -84,14 +87,14 @@ def report(
 
     The exit status is 1 if OUT has inverted triangles.
     """
-    from ..batches.file_improvement import open_mesh, quad_counts
+    from ..batches.file_improvement import open_mesh
     from ..files.atomic import check_target
     from ..files.time_series import check_steps
     from ..mesh.batch import join
     from ..mesh.measure import quality
     from ..pictures.page import report_page
 
-    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes)
+    options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes, quads)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a page's name ends in .html")
     check_distinct(source, target, page)
@@ -115,9 +118,7 @@ def report(
         typer.echo(f"{page}: {extent}{which}, {page.stat().st_size / 1e6:.1f} MB")
         if note is not None:
             console.say(note)
-    same = len(after.batch.points) >= len(given.batch.points) and len(after.batch) == len(given.batch)
-    quads = quad_counts(given, after.batch)[1] if same else 0
-    return console.verdict(f"in {target}", quality(after.batch), quads=quads)
+    return console.verdict(f"in {target}", quality(after.batch))
 
 
 def _step_shown(given: "Series", after: "Series", target: Path, step: int | None) -> int:

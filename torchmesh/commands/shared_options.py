@@ -73,6 +73,13 @@ class Shapes(str, Enum):
     equilateral = "equilateral"
 
 
+class Quads(str, Enum):
+    """What becomes of quads that come out inverted."""
+
+    keep = "keep"
+    split = "split"  # type: ignore[assignment]
+
+
 class Fields(str, Enum):
     """What becomes of the fields of a file."""
 
@@ -103,7 +110,7 @@ BoundaryOption = Annotated[
     Boundary,
     typer.Option(
         help="Do the vertices of the boundary stay, or slide along their curves? Corners (turns of "
-        "more than 40 degrees) stay, and so do vertices of quads, vertices between boundary lines of different tags, "
+        "more than 40 degrees) stay, and so do vertices between boundary lines of different tags, "
         "and those that the point field 'fixed' marks, unless it marks the whole boundary. Curves keep their shape and "
         "the areas on both sides."
     ),
@@ -136,6 +143,15 @@ ShapesOption = Annotated[
     typer.Option(
         help="auto: layers are kept, that is rows of thin elements along a wall or an interface; elsewhere triangles "
         "should be equilateral. equilateral: everywhere, and layers go."
+    ),
+]
+
+
+QuadsOption = Annotated[
+    Quads,
+    typer.Option(
+        help="What becomes of quads that cannot be mended? keep: they stay quads, standard error names them, and the "
+        "exit status is 1. split: they become two triangles each, both with the cell data of their quad."
     ),
 ]
 
@@ -231,6 +247,7 @@ def improve_options(
     interfaces: InterfaceChoice | None = None,
     scope: Scope = Scope.all,
     shapes: Shapes = Shapes.auto,
+    quads: Quads = Quads.keep,
 ) -> "ImproveOptions":
     """The options of `improve` that the options of a command stand for; raises UsageError."""
     from ..improving.options import ImproveOptions
@@ -245,6 +262,7 @@ def improve_options(
         "shapes": shapes.value,
         "interfaces": None if interfaces is None else interfaces.value,
         "scope": scope.value,
+        "quads": quads.value,
     }
     try:
         if method is Method.paper:

@@ -206,7 +206,7 @@ def _warp(
     quiet: bool,
 ) -> int:
     """Warps in one step, improves if asked, writes; returns the exit status."""
-    from ..batches.file_improvement import improve_series, quad_counts
+    from ..batches.file_improvement import improve_series
     from ..files.time_series import draft_series
     from ..improving.options import ImproveOptions
     from ..mesh.batch import join
@@ -216,10 +216,10 @@ def _warp(
     mesh = given.batch
     with _file_named(given):
         warped = femwarp(mesh, boundary, hold=hold)
-    after, (_, quads) = quality(warped), quad_counts(given, warped)
+    after = quality(warped)
     columns = {
-        "undeformed": console.record(mesh, quality(mesh), quad_counts(given, mesh)),
-        "warped": console.record(warped, after, quad_counts(given, warped)),
+        "undeformed": console.record(mesh, quality(mesh)),
+        "warped": console.record(warped, after),
     }
     if not improve_too:
         _save(draft_series(target, warped, given), strict)
@@ -227,20 +227,15 @@ def _warp(
         with console.progress(quiet) as show:
             (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
         after = improved.report.quality
-        quads = improved.inverted_quads()
-        columns["improved"] = console.record(join(improved.meshes), after, (quad_counts(given, mesh)[0], quads))
+        columns["improved"] = console.record(join(improved.meshes), after)
         _save(improved.draft(target), strict)
     if not quiet:
         console.print_comparison(str(target), columns)
     if improve_too:
-        return console.verdict(f"in {target}", after, improved.message(), quads)
-    if quads:
-        console.say(f"{console.counted(quads, 'inverted quad')} in {target}; {console.QUADS_STAY} by improve")
-    inverted = int(after.inverted.sum())
+        return console.verdict(f"in {target}", after, improved.message())
+    inverted = console.inverted_text(after)
     if inverted:
-        console.say(
-            f"{console.counted(inverted, 'inverted triangle')} in {target}; to mend: torchmesh improve {target} OUT"
-        )
+        console.say(f"{inverted} in {target}; to mend: torchmesh improve {target} OUT")
     return 0
 
 

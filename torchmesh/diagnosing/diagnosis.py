@@ -14,7 +14,9 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, holding
+from ..mesh.quads import quads_as_halves
 from ..mesh.unfit import unfit_meshes, what_is_unfit
+from .fixed_quads import fixed_quads, is_half
 from .meetings import crossings, duplicates, overlaps, wrong_touchings
 from .nesting import nestings
 from .polygon_kernel import inverted_fixed_triangles, vertices_without_kernel
@@ -27,6 +29,7 @@ _MANY = 50_000
 
 
 @without_autograd
+@quads_as_halves
 def diagnose(
     batch: MeshBatch,
     topology: Literal["keep", "flip"] = "flip",
@@ -36,7 +39,7 @@ def diagnose(
 ) -> list[Problem]:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
-    topology  "flip": triangles may change.  If no problem is found, `untangle_by_retriangulation` can repair
+    topology  "flip": triangles may change, quads not.  If no problem is found, `untangle_by_retriangulation` can repair
               the mesh, rounding permitting.  "keep": triangles stay, so
               the obstructions that moving free vertices cannot mend are told, too.  These are not all
               obstructions there are: a mesh without a problem may still have no valid positions
@@ -59,16 +62,23 @@ def diagnose(
         return _without_unfit(batch, unfit, topology, most, interfaces)
     batch = holding(batch, interfaces)
     # First all meshes at once, as pieces of one; each is looked at alone only if something was found.
-    if len(batch) > 1 and not _of_one(batch, topology == "keep", most):
+    if len(batch) > 1 and not len(batch.quads) and not _of_one(batch, topology == "keep", most):
         return []
     problems = []
     for b, mesh in enumerate(batch.split()):
         told: dict[ProblemKind, int] = {}
-        for kind, text, vertices, place in _of_one(mesh, topology == "keep", most):
+        for kind, text, vertices, place in _with_quads(_of_one(mesh, topology == "keep", most), mesh, most):
             told[kind] = told.get(kind, 0) + 1
             if told[kind] <= most:
                 problems.append(Problem(kind, text, b, vertices, place))
     return problems
+
+
+def _with_quads(found: list[Finding], mesh: MeshBatch, most: int) -> list[Finding]:
+    """What was `found` in one mesh with quads as halves, and the quads whose corners are held."""
+    if not len(mesh.quads):
+        return found
+    return [f for f in found if not is_half(f, mesh)] + _first(fixed_quads(mesh), most)
 
 
 def _without_unfit(

@@ -20,6 +20,7 @@ class ProblemKind(str, Enum):
     VERTEX_OUTSIDE = "a fixed vertex lies outside its region or on an edge"
     NOT_PLANE = "the triangles form a surface that is no part of a plane"
     FIXED_TRIANGLE = "a triangle of three fixed vertices is inverted or flat"
+    FIXED_QUAD = "a corner of a quad with three fixed vertices is not upright"
     FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
     NO_KERNEL = "the fixed ring round a free vertex leaves it no place"
 

@@ -11,6 +11,7 @@ from .content import Content
 from .correspondence import Correspondence
 from .field_transfer import FieldTransfer, is_floating, is_motion
 from .fields import is_numbering, on_triangles
+from .quads import on_quads
 from .source import default_fixed
 from .surface import HeightChoice
 
@@ -22,12 +23,20 @@ class _Block(NamedTuple):
     data      (n, k) their vertices
     origin    (n,) for each the file's cell, counted over all blocks
     triangle  (n,) which triangle of the mesh each one is; None for other cells
+    quad      (n,) which quad each one is; None for other cells
     """
 
     type: str
     data: np.ndarray
     origin: np.ndarray
     triangle: np.ndarray | None = None
+    quad: np.ndarray | None = None
+
+    def values(self, given: np.ndarray, made: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+        """The values of the cells: those `made` for all triangles and quads, or those `given` with the file's cells."""
+        if made is None or (self.triangle is None and self.quad is None):
+            return given[self.origin]
+        return made[0][self.triangle] if self.quad is None else made[1][self.quad]
 
 
 def carried(
@@ -81,13 +90,12 @@ def _carry_cell_data(
             if fields.drops:
                 fields.summary.dropped.append(name)
                 continue
-            made = fields.in_triangles(name, on_rows[content.first])
+            own = on_quads(content.mesh, given)[content.quad_first]
+            made = fields.in_elements(name, on_rows[content.first], own)
         elif old.changed and not _survives(old, name, on_rows, regions):
             dropped.append(f"cell data {name!r}")
             continue
-        result.cell_data[name] = [
-            values[b.origin] if made is None or b.triangle is None else made[b.triangle] for b in blocks
-        ]
+        result.cell_data[name] = [b.values(values, made) for b in blocks]
     return dropped
 
 
@@ -120,12 +128,15 @@ def _blocks(old: Correspondence) -> list[_Block]:
     content = old.source.content
     ends = np.cumsum([0] + [len(b.data) for b in content.mesh.cells])
     blocks: list[_Block] = []
-    row, written = 0, False
+    row, quads, written = 0, 0, False
     for start, block in zip(ends[:-1], content.mesh.cells, strict=True):
         if block.type != "triangle":
             data = old.new_vertex[block.data]
             keep = (data >= 0).all(1)
-            blocks.append(_Block(block.type, data[keep], start + np.flatnonzero(keep)))
+            number = None
+            if block.type == "quad":
+                number, quads = content.quad[quads : quads + len(data)][keep], quads + len(data)
+            blocks.append(_Block(block.type, data[keep], start + np.flatnonzero(keep), quad=number))
         elif old.same_rows:
             own = content.triangle[row : row + len(block.data)]
             blocks.append(_Block("triangle", old.faces[own], start + np.arange(len(block.data)), own))
@@ -145,7 +156,7 @@ def _triangle_blocks(content: Content, old: Correspondence) -> list[_Block]:
     order, copies = content.triangle.argsort(kind="stable"), np.bincount(content.triangle)
     first = np.cumsum(copies) - copies
     blocks = []
-    for copy in range(int(copies.max())):
+    for copy in range(int(copies.max(initial=0))):
         some = np.flatnonzero(copies[example] > copy)
         blocks.append(_Block("triangle", old.faces[some], cell_of_row[order[first[example[some]] + copy]], some))
     return blocks

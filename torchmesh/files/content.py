@@ -9,6 +9,10 @@ import numpy as np
 from ..errors import InvalidMeshError
 from .fields import REGION_TAGS, Regions, triangle_regions
 from .formats.format import Document
+from .quads import interfaces_of_quads, quads_of, sides_of
+
+# What polygons of so many corners are.
+_POLYGONS = {3: "triangle", 4: "quad"}
 
 _LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "pixel")
 
@@ -24,6 +28,7 @@ class Content:
     rows         (R, 3) triangle rows of all blocks, in file order
     first        (T,) the first row of each triangle; some files list a triangle once for each of its groups
     triangle     (R,) the triangle of each row
+    quad_rows, quad_first, quad  likewise for quads: (S, 4), (Q,) and (S,)
     region       (T,) the number of the region that each triangle is in
     constrained  (K, 2) edges that no flip may remove
     pinned       (V,) bool, vertices of cells that must not change shape
@@ -42,6 +47,9 @@ class Content:
     elsewhere: np.ndarray
     sides: dict[str, np.ndarray]
     told_by: Regions
+    quad_rows: np.ndarray
+    quad_first: np.ndarray
+    quad: np.ndarray
 
     @classmethod
     def of(cls, document: Document, path: Path, regions: str | None = None) -> "Content":
@@ -56,7 +64,8 @@ class Content:
             raise InvalidMeshError(f"{path}: {error}") from None
         # The mesh that is written instead takes it over, as it does all attributes that meshio's type does not declare.
         mesh.told_by = told_by.data
-        rows = np.concatenate([b.data for b in mesh.cells if b.type == "triangle"]).astype(np.int64)
+        blocks = [b.data for b in mesh.cells if b.type == "triangle"]
+        rows = np.concatenate([np.zeros((0, 3), np.int64), *blocks]).astype(np.int64)
         first = triangle = np.arange(len(rows))
         if document.repeats_triangles:
             first, triangle = merged_rows(rows)
@@ -64,12 +73,24 @@ class Content:
         region = triangle_regions(mesh, triangle, len(first), told_by)
         none = np.zeros((0, 2), np.int64)
         lines = np.concatenate([none, *(b.data for b in mesh.cells if b.type == "line" and len(b.data))])
-        on_edge = np.isin(_keys(lines, len(mesh.points)), _keys(_edges(faces), len(mesh.points)))
+        quad_rows, quad_first, quad = quads_of(mesh, document.repeats_triangles)
+        quads = quad_rows[quad_first]
+        edges = np.concatenate([_edges(faces), sides_of(quads)])
+        on_edge = np.isin(_keys(lines, len(mesh.points)), _keys(edges, len(mesh.points)))
         sides = np.concatenate([none, *document.sides.values()])
-        kept = np.concatenate([_interfaces(faces, region), lines[on_edge], _shared(sides, faces)])
+        between = interfaces_of_quads(mesh, (faces, first), (quads, quad_first), told_by)
+        kept = np.concatenate([_interfaces(faces, region), between, lines[on_edge], _shared(sides, edges)])
         constrained = np.unique(np.sort(kept, 1), axis=0)
-        pinned, elsewhere = _pinned(mesh, faces, lines[~on_edge])
-        return cls(mesh, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides, told_by)
+        pinned, elsewhere = _pinned(mesh, np.concatenate([faces.reshape(-1), quads.reshape(-1)]), lines[~on_edge])
+        return cls(
+            mesh, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides, told_by,
+            quad_rows, quad_first, quad,
+        )  # fmt: skip
+
+    @property
+    def quads(self) -> np.ndarray:
+        """(Q, 4) the quads, each once, in file order."""
+        return self.quad_rows[self.quad_first]
 
     @property
     def bound_by_regions(self) -> str:
@@ -122,7 +143,7 @@ def checked(mesh: meshio.Mesh, path: Path) -> meshio.Mesh:
 
 
 def _native(mesh: meshio.Mesh) -> meshio.Mesh:
-    """A copy in the machine's byte order; fields of one component are flat, three-cornered polygons triangles."""
+    """A copy in the machine's byte order; fields of one component are flat, polygons triangles and quads."""
 
     def native(array: np.ndarray) -> np.ndarray:
         return np.array(array, array.dtype.newbyteorder("="))
@@ -133,9 +154,9 @@ def _native(mesh: meshio.Mesh) -> meshio.Mesh:
     mesh = meshio.Mesh.copy(mesh)
     mesh.points = native(mesh.points)
     for i, block in enumerate(mesh.cells):
-        three = block.type == "polygon" and block.data.shape[1] == 3
         if block.data.ndim == 2 and block.data.dtype.kind in "iu":
-            mesh.cells[i] = meshio.CellBlock("triangle" if three else block.type, native(block.data).astype(np.int64))
+            kind = _POLYGONS.get(block.data.shape[1], "polygon") if block.type == "polygon" else block.type
+            mesh.cells[i] = meshio.CellBlock(kind, native(block.data).astype(np.int64))
     mesh.point_data = {name: column(values) for name, values in mesh.point_data.items()}
     mesh.cell_data = {name: [column(v) for v in values] for name, values in mesh.cell_data.items()}
     mesh.cell_sets.pop("gmsh:bounding_entities", None)
@@ -154,9 +175,9 @@ def _check_types(mesh: meshio.Mesh, path: Path) -> None:
             raise InvalidMeshError(f"{path}: it has second-order triangles ({name}); convert it to linear ones first")
         if name not in _LINEAR and name.rstrip("0123456789") not in _HIGHER_ORDER:
             raise InvalidMeshError(
-                f"{path}: it has {name} cells; only planar meshes of linear triangles can be improved"
+                f"{path}: it has {name} cells; only planar meshes of linear triangles and quads can be improved"
             )
-    if "triangle" not in types:
+    if "triangle" not in types and "quad" not in types:
         found = f"it has {' and '.join(sorted(types))} cells only" if types else "it has no cells"
         raise InvalidMeshError(f"{path}: no triangles: {found}")
 
@@ -192,6 +213,8 @@ def _keys(edges: np.ndarray, count: int) -> np.ndarray:
 
 def _interfaces(faces: np.ndarray, region: np.ndarray) -> np.ndarray:
     """(K, 2) the edges between triangles of different regions, the lower vertex first."""
+    if not len(faces):
+        return np.zeros((0, 2), np.int64)
     edges = _edges(faces)
     keys = _keys(edges, int(faces.max()) + 1)
     order = keys.argsort(kind="stable")
@@ -200,31 +223,32 @@ def _interfaces(faces: np.ndarray, region: np.ndarray) -> np.ndarray:
     return edges[order[1:][differ]]
 
 
-def _shared(edges: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(K, 2) those of the edges that lie between two triangles."""
+def _shared(edges: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """(K, 2) those of the edges that are among `sides` (N, 2) twice: they lie between two elements."""
     if not len(edges):
         return edges
-    count = max(int(faces.max()), int(edges.max())) + 1
-    keys, copies = np.unique(_keys(_edges(faces), count), return_counts=True)
+    count = max(int(sides.max()), int(edges.max())) + 1
+    keys, copies = np.unique(_keys(sides, count), return_counts=True)
     return edges[np.isin(_keys(edges, count), keys[copies > 1])]
 
 
-def _pinned(mesh: meshio.Mesh, faces: np.ndarray, bars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices (V,) that must stay in place, and the vertices (V,) of cells that are not triangles.
+def _pinned(mesh: meshio.Mesh, corners: np.ndarray, bars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices (V,) that must stay in place, and the vertices (V,) of cells that are not triangles or quads.
 
-    bars  (L, 2) lines that are no edges of triangles
+    corners  (N,) the corners of triangles and quads
+    bars     (L, 2) lines that are no edges of these
 
-    Vertex cells bind their vertices only if some vertex of a triangle has none: programs write one for every vertex.
+    Vertex cells bind their vertices only if some corner has none: programs write one for every vertex.
     """
     pinned, elsewhere = np.zeros(len(mesh.points), bool), np.zeros(len(mesh.points), bool)
     pinned[bars] = True
     for block in mesh.cells:
-        if block.type == "triangle" or not len(block.data):
+        if block.type in ("triangle", "quad") or not len(block.data):
             continue
         elsewhere[block.data] = True
         if block.type not in ("line", "vertex"):
             pinned[block.data] = True
     points = [b.data.reshape(-1) for b in mesh.cells if b.type == "vertex"]
-    if points and not np.isin(faces, np.concatenate(points)).all():
+    if points and not np.isin(corners, np.concatenate(points)).all():
         pinned[np.concatenate(points)] = True
     return pinned, elsewhere

@@ -64,7 +64,7 @@ class Correspondence:
             region = np.where(region < 0, content.region, region)
         same_rows = same_counts and bool((region == content.region).all())
         faces = _as_wound(content.rows[content.first], before, after, same_counts)
-        first_of_region = np.zeros(int(content.region.max()) + 1, np.int64)
+        first_of_region = np.zeros(int(content.region.max(initial=-1)) + 1, np.int64)
         first_of_region[content.region] = np.arange(len(before))
         example = None if bool((region < 0).any()) else first_of_region[region]
         return cls(source, new_vertex, old_vertex, changed, same_rows, faces, example, vertex_map)
@@ -121,8 +121,8 @@ def _new_regions(mesh: MeshBatch, old: MeshBatch, region: np.ndarray, new_vertex
     Boundary and constrained edges separate the regions and survive every change.  Each component that they enclose
     belongs to the region that lay on the same side of them before.
     """
-    if len(np.unique(region)) == 1:
-        return np.full(len(mesh.triangles), region[0])
+    if len(np.unique(region)) < 2:
+        return np.full(len(mesh.triangles), region[0] if len(region) else -1)
     count = len(mesh.points)
     before, tail, head = _separating(old)
     tail, head = new_vertex[tail.numpy()], new_vertex[head.numpy()]

@@ -14,6 +14,8 @@ import torch
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
+from ..mesh.quads import halved, halves_of
+from ..mesh.triangle import corners, signed_area
 from ..transferring.transfer import Transfer, prepared
 
 FieldChoice = Literal["interpolate", "carry", "drop"]
@@ -143,14 +145,14 @@ class FieldTransfer:
 
     @functools.cached_property
     def _points(self) -> Transfer:
-        made = prepared(self.before, self.after, "points")
+        made = prepared(halved(self.before), halved(self.after), "points")
         self.summary.outside = int(made.info.outside.sum())
         self.summary.tangled = int(made.info.tangled.sum())
         return made
 
     @functools.cached_property
     def _triangles(self) -> Transfer:
-        made = prepared(self.before, self.after, "triangles")
+        made = prepared(halved(self.before), halved(self.after), "triangles")
         self.summary.uncovered = int(made.info.outside.sum())
         self.summary.missed = float(made.info.missed.max())
         return made
@@ -177,6 +179,25 @@ class FieldTransfer:
         made, overshoots = _applied(self._triangles, values)
         self.summary.overshoots += overshoots
         return made
+
+    def in_elements(self, name: str, values: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(T', ...) and (Q', ...) of cell data of triangles (T, ...) and quads (Q, ...).
+
+        Both halves of a quad have its value.  A quad then takes the mean of its halves by their areas, or where the
+        largest overlap counts, the value of the larger half.
+        """
+        if not len(quads):
+            return self.in_triangles(name, values), quads
+        made = self.in_triangles(name, np.concatenate([values, np.repeat(quads, 2, 0)]))
+        triangles, halves = np.split(made, [len(self.after.triangles)])
+        area = signed_area(corners(self.after.points.to(torch.float64), halves_of(self.after.quads))).abs()
+        pair = area.reshape(-1, 2).numpy()
+        halves = halves.reshape(-1, 2, *halves.shape[1:])
+        if not is_floating(values):
+            return triangles, halves[np.arange(len(halves)), pair.argmax(1)]
+        share = pair / np.maximum(pair.sum(1, keepdims=True), np.finfo(float).tiny)
+        mean = (halves * share.reshape(*share.shape, *[1] * (halves.ndim - 2))).sum(1)
+        return triangles, mean.astype(halves.dtype)
 
     @functools.cached_property
     def _largest(self) -> np.ndarray:

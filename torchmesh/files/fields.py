@@ -74,7 +74,7 @@ class Regions:
         """
         taken, others = [], []
         for name, blocks in mesh.cell_data.items():
-            values = on_triangles(mesh, blocks)
+            values = on_elements(mesh, blocks)
             if values.dtype.kind not in "iub" or values.ndim != 1:
                 continue
             found = len(np.unique(values))
@@ -87,7 +87,7 @@ class Regions:
         if choice == "none":
             return cls(others=(*taken, *others))
         if choice in mesh.cell_data:
-            values = on_triangles(mesh, mesh.cell_data[choice])
+            values = on_elements(mesh, mesh.cell_data[choice])
             if values.ndim != 1 or values.dtype.kind not in "iubf" or (values != np.round(values)).any():
                 raise ValueError(f"cell data {choice!r} tells no regions: it is not one whole number for each cell")
             return cls((choice,), others=tuple(name for name in (*taken, *others) if name != choice))
@@ -121,7 +121,16 @@ def is_numbering(values: np.ndarray) -> bool:
 
 def on_triangles(mesh: meshio.Mesh, values: list[np.ndarray]) -> np.ndarray:
     """The part of cell data, given block by block, that belongs to triangles: (R, ...) in file order."""
-    return np.concatenate([v for b, v in zip(mesh.cells, values, strict=True) if b.type == "triangle"])
+    parts = [v for b, v in zip(mesh.cells, values, strict=True) if b.type == "triangle"]
+    return np.concatenate(parts) if parts else np.asarray(values[0])[:0] if values else np.zeros(0)
+
+
+def on_elements(mesh: meshio.Mesh, values: list[np.ndarray]) -> np.ndarray:
+    """The part of cell data that belongs to triangles; of a mesh without triangles, that of the quads."""
+    kinds = {block.type for block in mesh.cells if len(block.data)}
+    wanted = "triangle" if "triangle" in kinds or "quad" not in kinds else "quad"
+    parts = [v for b, v in zip(mesh.cells, values, strict=True) if b.type == wanted]
+    return np.concatenate(parts) if parts else np.asarray(values[0])[:0] if values else np.zeros(0)
 
 
 def triangle_regions(mesh: meshio.Mesh, triangle: np.ndarray, count: int, told: Regions) -> np.ndarray:

@@ -8,7 +8,8 @@ and Zarr is a folder of many files and another dependency.
     /               attributes: format, version
     points          (V, 2) float64 or float32        fixed              (V,) bool
     triangles       (T, 3) rows of the mesh's own    constrained_edges  (K, 2) likewise
-    *_offsets       (B+1,) int64: points, triangles, constrained_edges     frames  (B, 3, 3)
+    quads           (Q, 4) likewise, if there are any
+    *_offsets       (B+1,) int64: points, triangles, constrained_edges, quads     frames  (B, 3, 3)
     point_fields/*  (V, ...)                         mesh_fields/*      (B, ...)
 
 The triangles and constrained edges of a mesh count its vertices from 0, so that a mesh can be read alone.
@@ -30,7 +31,18 @@ from ..errors import InvalidMeshError, MeshIOError
 from ..mesh.batch import MeshBatch
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from .atomic import replacing
-from .hdf5_layout import FORMAT, SHAPES, TABLES, VERSION, Fields, as_our_errors, checked_fields, tables_of
+from .hdf5_layout import (
+    FORMAT,
+    OF_QUADS,
+    QUADS,
+    SHAPES,
+    TABLES,
+    VERSION,
+    Fields,
+    as_our_errors,
+    checked_fields,
+    tables_of,
+)
 
 # Rows in a compressed chunk.  A chunk then has some hundred kilobytes, or a few meshes of the usual size.
 _CHUNK_ROWS = 8192
@@ -137,6 +149,11 @@ class BatchWriter:
             raise InvalidMeshError(f"{self.path}: every batch must have the fields {sorted(self._fields)}")
         self._fields = set(fields)
         tables, offsets = tables_of(batch)
+        if not len(batch.quads) and QUADS not in self._file:
+            # The table begins with the first quads, and counts the meshes before them.
+            del tables[QUADS], offsets[QUADS]
+        elif QUADS not in self._file and self.meshes:
+            offsets[QUADS] = torch.cat([offsets[QUADS].new_zeros(self.meshes), offsets[QUADS]])
         with as_our_errors(self.path, "cannot be written"):
             for name, ends in offsets.items():
                 dataset = self._file.get(f"{name}_offsets")
@@ -152,7 +169,7 @@ class BatchWriter:
 
         if isinstance(values, Tensor):
             rows = values.detach().cpu().numpy()
-            if name in ("triangles", "constrained_edges"):
+            if name in ("triangles", "constrained_edges", QUADS):
                 rows = rows.astype(np.int32 if not rows.size or rows.max() < 2**31 else np.int64)
             kind = rows.dtype
         else:
@@ -201,12 +218,14 @@ class BatchFile:
             if missing:
                 raise MeshIOError(f"{path}: damaged, it lacks {', '.join(missing)}")
             self._check_shapes()
-            self._offsets = {name: self._ends(name) for name in TABLES}
+            tables = (*TABLES, QUADS) if QUADS in self._file else TABLES
+            self._offsets = {name: self._ends(name) for name in tables}
 
     def _check_shapes(self) -> None:
         """Raises MeshIOError for a table whose shape or type is not that of its kind; nothing is read for that."""
         meshes, points = self._length("points_offsets") - 1, self._length("points")
-        for name, (shape, kinds) in SHAPES.items():
+        known = SHAPES | OF_QUADS if QUADS in self._file else SHAPES
+        for name, (shape, kinds) in known.items():
             table = self._table(name)
             if table.dtype.kind not in kinds or table.shape[1:] != shape:
                 found = f"{table.dtype} {table.shape}"
@@ -215,7 +234,8 @@ class BatchFile:
                 )
         if self._table("points").dtype.itemsize not in (4, 8):
             raise MeshIOError(f"{self.path}: damaged, its points are neither single nor double precision")
-        if len({self._length(f"{name}_offsets") for name in TABLES} | {self._length("frames") + 1}) > 1:
+        offsets = {self._length(name) for name in known if name.endswith("_offsets")}
+        if len(offsets | {self._length("frames") + 1}) > 1:
             raise MeshIOError(f"{self.path}: damaged, its tables differ in their number of meshes")
         if self._length("fixed") != points:
             raise MeshIOError(f"{self.path}: damaged, 'fixed' and 'points' differ in length")
@@ -283,9 +303,13 @@ class BatchFile:
             triangles = self._gather("triangles", "triangles", rows).to(torch.int64)
             edges = self._gather("constrained_edges", "constrained_edges", rows).to(torch.int64)
             frames = self._gather("frames", None, rows)
-        ends = {name: self._counted(name, rows) for name in TABLES}
+            quads = torch.zeros((0, 4), dtype=torch.int64)
+            if QUADS in self._offsets:
+                quads = self._gather(QUADS, QUADS, rows).to(torch.int64)
+        ends = {name: self._counted(name, rows) for name in self._offsets}
+        ends.setdefault(QUADS, torch.zeros_like(ends["points"]))
         count = counts_from_offsets(ends["points"])
-        for name, corners in (("triangles", triangles), ("constrained_edges", edges)):
+        for name, corners in (("triangles", triangles), ("constrained_edges", edges), (QUADS, quads)):
             if bool(((corners < 0) | (corners >= spread(count, ends[name])[:, None])).any()):
                 raise MeshIOError(f"{self.path}: damaged, {name} name points that are not there")
         first = ends["points"][:-1]
@@ -297,6 +321,8 @@ class BatchFile:
             ends["points"],
             ends["triangles"],
             frames,
+            quads=quads + spread(first, ends[QUADS])[:, None],
+            quad_offsets=ends[QUADS],
         )
 
     def read_fields(self, meshes: Meshes = None) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -17,6 +17,9 @@ FORMAT, VERSION = "torchmesh meshes", 1
 
 TABLES = ("points", "triangles", "constrained_edges")
 
+# Where no mesh has quads, there is no table of them, as in files of earlier versions.
+QUADS = "quads"
+
 # The shape of a row of each table, and the kinds of numbers that it may hold, as numpy has them.
 SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
     "points": ((2,), "f"),
@@ -25,6 +28,10 @@ SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
     "constrained_edges": ((2,), "iu"),
     "frames": ((3, 3), "f"),
     **{f"{name}_offsets": ((), "iu") for name in TABLES},
+}
+OF_QUADS: dict[str, tuple[tuple[int, ...], str]] = {
+    QUADS: ((4,), "iu"),
+    f"{QUADS}_offsets": ((), "iu"),
 }
 
 Fields = Mapping[str, Tensor | Sequence[str]]
@@ -57,11 +64,13 @@ def tables_of(batch: MeshBatch) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         # Constrained edges are stored mesh by mesh, whatever their order was.
         "constrained_edges": edges[torch.argsort(owner, stable=True)],
         "frames": batch.frames,
+        QUADS: batch.quads - spread(batch.point_offsets[:-1], batch.quad_offsets)[:, None],
     }
     offsets = {
         "points": batch.point_offsets,
         "triangles": batch.triangle_offsets,
         "constrained_edges": offsets_from_counts(torch.bincount(owner, minlength=len(batch))),
+        QUADS: batch.quad_offsets,
     }
     return tables, offsets
 

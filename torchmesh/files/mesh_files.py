@@ -18,6 +18,7 @@ import torch
 from ..errors import InvalidMeshError, MeshWarning
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, lift
+from ..mesh.quads import halved
 from ..mesh.vertex_map import VertexMap
 from .carry_over import carried
 from .correspondence import Correspondence
@@ -27,17 +28,18 @@ from .formats.format import Document
 from .formats.registry import FORMATS, format_of
 from .messages import warn
 from .source import Source, as_path, default_fixed
+from .split_quads import with_split_quads
 from .surface import HeightChoice, check_height
 
 
 def read(path: str | os.PathLike[str], *, regions: str | None = None) -> MeshBatch:
-    """The triangles of a mesh file, as a batch of one.
+    """The triangles and quads of a mesh file, as a batch of one.
 
     The format follows the extension (`formats.registry`).  Points may lie in any plane.  Of a surface that is a map of
     a plane, such as terrain, the mesh is that in plan, and the heights stay with the file (`surface.Surface`).
 
     fixed              point data `fixed` where it is not zero; always the boundary, and the vertices of cells that
-                       are neither triangles nor edges of them (quads, bars; vertex cells unless every vertex has one)
+                       are neither triangles, quads nor edges of them (bars; vertex cells unless every vertex has one)
     constrained_edges  edges between triangles of different regions, and line cells inside the mesh; their ends are
                        not `fixed`, but what moves vertices holds them unless it is told otherwise
 
@@ -57,7 +59,7 @@ def read(path: str | os.PathLike[str], *, regions: str | None = None) -> MeshBat
 def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     """(V,) bool: the boundary and interface vertices of a file that must not slide; for `improve(..., hold=...)`.
 
-    These are the vertices of quads and other cells that are not triangles, those of vertex cells (if not every
+    These are the vertices of cells that are neither triangles nor quads, those of vertex cells (if not every
     vertex has one), those between lines of different tags or sets, those that are paired by Gmsh's $Periodic, and those
     that the point data `fixed` marks, unless it marks the whole boundary, as what `write` stores does.
     Raises as `read` does.
@@ -69,7 +71,8 @@ def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     hold = torch.from_numpy(content.pinned | content.seams)
     hold[torch.from_numpy(source.document.tied)] = True
     if content.fixed is not None:
-        boundary = connectivity.boundary_vertices(mesh.triangles, mesh.twin, len(hold))
+        edges = halved(mesh)
+        boundary = connectivity.boundary_vertices(edges.triangles, edges.twin, len(hold))
         marked = torch.from_numpy(content.fixed)
         if not bool(marked[boundary].all()):
             hold |= marked
@@ -143,12 +146,16 @@ def draft(
     fields  transfers the fields of `like`; None: they ride with vertices and rows
     """
     mesh = mesh.with_points(mesh.points.detach()).to("cpu")
+    split = like is not None and len(mesh.quads) < len(like.mesh.quads)
+    if like is not None and split:
+        like = with_split_quads(like, mesh, vertex_map)
     if like is None:
         content = _new_content(mesh)
         content.points = _in_space(path, content.points, mesh, None)
         return Draft.of(path, content)
     document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
-    same_rows = correspondence.same_rows
+    # What else the file ties to its rows does not hold for quads that became triangles.
+    same_rows = correspondence.same_rows and not split
     content, dropped = carried(mesh, correspondence, fields, height)
     dropped += FORMATS[document.format].left_behind(document, format_of(path, document), same_rows)
     if correspondence.changed and document.format == format_of(path, document).name:
@@ -168,7 +175,9 @@ def _stale(document: Document, points: np.ndarray) -> list[str]:
 
 def _new_content(mesh: MeshBatch) -> meshio.Mesh:
     """The content of a new file that follows no other."""
-    cells = [("triangle", mesh.triangles.numpy())]
+    cells = [("triangle", mesh.triangles.numpy())] if len(mesh.triangles) else []
+    if len(mesh.quads):
+        cells.append(("quad", mesh.quads.numpy()))
     if len(mesh.constrained_edges):
         cells.append(("line", mesh.constrained_edges.numpy()))
     plain = bool((mesh.fixed == default_fixed(mesh)).all())

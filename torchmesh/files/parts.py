@@ -126,7 +126,7 @@ class _Cells:
     @classmethod
     def of(cls, source: Source) -> "_Cells":
         count = len(source.mesh.points)
-        triangles, quads = source.mesh.triangles, source.quads
+        triangles, quads = source.mesh.triangles, source.mesh.quads
         on = tuple(keys_of(torch.stack([c, c.roll(-1, 1)], 2).reshape(-1, 2), count) for c in (triangles, quads))
         across = torch.full((len(on[1]),), -2)
         across[torch.isin(on[1], on[0])] = -1

@@ -7,17 +7,20 @@ import torch
 
 from ..errors import MissingDependencyError
 from ..mesh.batch import MeshBatch, lift, triangle_mesh, vertex_mesh
-from ..mesh.measure import quality, signed_minimum_angles
+from ..mesh.measure import quality, signed_minimum_angles, signed_narrowest_angles
+from ..mesh.quads import quad_mesh
 
 
 def to_pyvista(batch: MeshBatch) -> Any:
     """The batch as one `pyvista.PolyData` in space, with quality measures as cell data; needs the extra `pyvista`.
 
-    Points keep their order and dtype and lie in the plane of space that each mesh was given in.
+    Points keep their order and dtype and lie in the plane of space that each mesh was given in.  The Q quads of all
+    meshes follow the T triangles, and so do their values.
 
-    cell data   area (T,) signed, in the unit of length squared; inverse_mean_ratio (T,), 1 for an equilateral
-                triangle, infinite for a flat one; minimum_angle (T,) degrees, negative where the triangle is
-                inverted; inverted (T,) bool; mesh (T,) the mesh of the batch that the triangle belongs to
+    cell data   area (T + Q,) signed, in the unit of length squared; inverse_mean_ratio (T + Q,), 1 for an equilateral
+                triangle or a square, infinite for a flat one; minimum_angle (T + Q,) degrees, negative where it is
+                inverted, of a quad how near a corner comes to 0 or 180 degrees; inverted (T + Q,) bool; mesh (T + Q,)
+                the mesh of the batch that it belongs to
     point data  fixed (V,) bool; mesh (V,)
 
     Raises MissingDependencyError without pyvista.
@@ -29,12 +32,15 @@ def to_pyvista(batch: MeshBatch) -> Any:
     batch = batch.with_points(batch.points.detach()).to("cpu")
     q = quality(batch)
     faces = batch.triangles.numpy()
-    data = pyvista.PolyData.from_regular_faces(lift(batch).numpy(), np.ascontiguousarray(faces))
-    data.cell_data["area"] = q.area.numpy()
-    data.cell_data["inverse_mean_ratio"] = q.inverse_mean_ratio.numpy()
-    data.cell_data["minimum_angle"] = signed_minimum_angles(batch, q)
-    data.cell_data["inverted"] = torch.logical_not(q.upright).numpy()
-    data.cell_data["mesh"] = triangle_mesh(batch).numpy()
+    quads = batch.quads.numpy()
+    sizes = [np.concatenate([np.full((len(rows), 1), rows.shape[1]), rows], 1).reshape(-1) for rows in (faces, quads)]
+    data = pyvista.PolyData(lift(batch).numpy(), np.concatenate(sizes))
+    data.cell_data["area"] = torch.cat([q.area, q.quad_area]).numpy()
+    data.cell_data["inverse_mean_ratio"] = torch.cat([q.inverse_mean_ratio, q.quad_inverse_mean_ratio]).numpy()
+    angles = signed_minimum_angles(batch, q), signed_narrowest_angles(batch, q)
+    data.cell_data["minimum_angle"] = np.concatenate(angles)
+    data.cell_data["inverted"] = torch.logical_not(torch.cat([q.upright, q.quad_upright])).numpy()
+    data.cell_data["mesh"] = torch.cat([triangle_mesh(batch), quad_mesh(batch)]).numpy()
     data.point_data["fixed"] = batch.fixed.numpy()
     data.point_data["mesh"] = vertex_mesh(batch).numpy()
     data.set_active_scalars("inverse_mean_ratio", preference="cell")

@@ -6,7 +6,6 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,8 @@ import torch
 from ..errors import InvalidMeshError, MeshIOError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
-from ..mesh.quads import inverted_quads, oriented_quads
+from ..mesh.mixed_arrays import halves_of
+from ..mesh.quads import halved
 from ..mesh.validation import seen_from_above
 from .content import Content
 from .documents import load
@@ -71,21 +71,6 @@ class Source:
             more = f" (constrained edges are {origin})" if origin else ""
         return with_own_numbers(text, self.document) + more
 
-    @cached_property
-    def quads(self) -> torch.Tensor:
-        """(Q, 4) int64, the quads of the file in its order, wound as the triangles of `mesh` are."""
-        rows = [block.data for block in self.content.mesh.cells if block.type == "quad"]
-        quads = torch.from_numpy(np.concatenate([np.zeros((0, 4), np.int64), *rows]))
-        return oriented_quads(self.mesh.points, self.mesh.triangles, quads) if len(quads) else quads
-
-    def inverted_quads(self, points: torch.Tensor | None = None) -> torch.Tensor:
-        """(K,) int64, the quads with a corner that is not upright, by their row among the quads.
-
-        points  (V, 2) where the vertices are now; None: where they are in the file.  Added vertices may follow
-        """
-        there = self.mesh.points if points is None else points
-        return inverted_quads(there, self.quads).nonzero().squeeze(1)
-
 
 @contextlib.contextmanager
 def _own_numbers_told(document: Document) -> Iterator[None]:
@@ -109,30 +94,33 @@ def default_fixed(mesh: MeshBatch, pinned: np.ndarray | None = None) -> torch.Te
 
     pinned  (V,) bool, vertices of cells that must not change shape
     """
-    count = len(mesh.points)
+    mesh, count = halved(mesh), len(mesh.points)
     fixed = connectivity.boundary_vertices(mesh.triangles, mesh.twin, count)
     fixed |= connectivity.vertex_triangle_counts(mesh.triangles, count) == 0
     return fixed if pinned is None else fixed | torch.from_numpy(pinned)
 
 
 def _batch(content: Content, path: Path, surface: Surface | None) -> MeshBatch:
-    """The triangles of a file, in plan.  Errors and warnings of MeshBatch.from_arrays name the file."""
+    """The triangles and quads of a file, in plan.  Errors and warnings of MeshBatch.from_arrays name the file."""
     fixed = content.pinned if content.fixed is None else content.pinned | content.fixed
-    faces = content.rows[content.first]
+    faces, quads = content.rows[content.first], content.quads
     points = content.mesh.points
     if surface is not None:
         points = surface.plan(points)
         if surface.axis != 2:  # neither side of such a plane is above
             frame = surface.frame[0]
-            faces = seen_from_above(torch.from_numpy(points), torch.from_numpy(faces), frame).numpy()
+            every = torch.cat([torch.from_numpy(faces), halves_of(torch.from_numpy(quads))])
+            seen = seen_from_above(torch.from_numpy(points), every, frame)
+            if not torch.equal(seen, every):
+                faces, quads = faces[:, ::-1], quads[:, [0, 3, 2, 1]]
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            mesh = MeshBatch.from_arrays(points, faces, fixed, content.constrained)
+            mesh = MeshBatch.from_arrays(points, faces, fixed, content.constrained, quads=quads)
     except InvalidMeshError as error:
         raise InvalidMeshError(f"{path}: {error}") from None
-    # Vertices of quads and lines belong to no triangle, and nothing is wrong with them.
-    lost = np.setdiff1d(np.flatnonzero(~content.elsewhere), faces)
+    # Vertices of lines belong to no triangle, and nothing is wrong with them.
+    lost = np.setdiff1d(np.flatnonzero(~content.elsewhere), np.concatenate([faces.ravel(), content.quads.ravel()]))
     texts = [str(w.message) for w in said if "belong to no triangle" not in str(w.message)]
     texts += [f"{len(lost)} vertices belong to no cell; they are kept"] if len(lost) else []
     for text in texts:

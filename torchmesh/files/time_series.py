@@ -34,6 +34,9 @@ from .pvd import is_pvd, pvd_steps, step_paths, write_pvd
 from .source import Source
 from .surface import HeightChoice
 
+# Steps in which these agree, and the positions of vertices, share a mesh.
+_SHARED = ("triangles", "quads", "fixed", "constrained_edges")
+
 
 @dataclass(frozen=True, eq=False)
 class Series:
@@ -120,7 +123,7 @@ def _series_of(times: list[float], sources: list[Source], path: Path) -> "Series
         m = source.mesh
         key = b"".join(
             np.ascontiguousarray(a).tobytes() + str(a.shape).encode()
-            for a in (source.content.mesh.points, m.triangles.numpy(), m.fixed.numpy(), m.constrained_edges.numpy())
+            for a in (source.content.mesh.points, *(getattr(m, name).numpy() for name in _SHARED))
         )
         if key not in number:
             number[key] = len(meshes)

@@ -51,7 +51,8 @@ def _frames_of_regions(content: Content, mesh: MeshBatch) -> Iterator[tuple[str,
             block[members] = True
         parts = [p for b, p in zip(content.mesh.cells, blocks, strict=True) if b.type == "triangle"]
         inside = np.zeros(len(content.first), bool)
-        inside[content.triangle[np.concatenate(parts)]] = True
+        if parts:
+            inside[content.triangle[np.concatenate(parts)]] = True
         own = torch.from_numpy(inside)
         h = inner[own[inner // 3] & ~own[twin[inner] // 3]]
         corners = mesh.triangles.reshape(-1)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch, constrained_half_edges
 from ..mesh.detached import without_autograd
+from ..mesh.quads import quads_as_halves
 from ..mesh.ragged import owner_of, spread
 from ..mesh.unfit import unfit_meshes
 from ..mesh.units import centre_and_unit
@@ -61,6 +62,7 @@ class FlipInfo:
 
 
 @without_autograd
+@quads_as_halves
 def flip_to_delaunay(
     batch: MeshBatch,
     options: FlipOptions | None = None,
@@ -71,8 +73,8 @@ def flip_to_delaunay(
     """Flip edges until every interior, unconstrained edge between upright triangles is Delaunay.
 
     Whether an edge is Delaunay is decided by exact in-circle signs.  Edges whose four points lie on one circle are
-    not flipped.  Vertices, boundary edges and constrained edges stay, and so does the number of triangles.  A mesh with
-    a position that is not finite, or beyond 1e150, comes back as it is.
+    not flipped.  Vertices, boundary edges, constrained edges and edges of quads stay, and so does the number of
+    triangles.  A mesh with a position that is not finite, or beyond 1e150, comes back as it is.
 
     around  (T,) bool: start from the edges of these triangles only
     metric  flip towards triangles that are equilateral in this metric; replaces the rule of the options

@@ -12,6 +12,10 @@ from ..remeshing.sizing import SizeConformity
 _OF_TRIANGLES = ("area", "inverse_mean_ratio", "upright")
 
 
+# Those that a batch with quads as halves is not asked for on its way: measured anew at the end.
+_OF_QUADS = ("quad_area", "quad_inverse_mean_ratio", "quad_upright")
+
+
 def put_rows(values: Tensor, at: Tensor, part: Tensor) -> Tensor:
     """`values` (N, ...) with the rows `at` (N,) bool replaced by `part`."""
     return values.index_copy(0, at.nonzero().squeeze(1), part)
@@ -21,13 +25,17 @@ def select_quality(q: Quality, at: Tensor, triangles: Tensor) -> Quality:
     """The quality of the meshes `at` (B,) bool, to which `triangles` (T,) bool belong."""
     rows = triangles.nonzero().squeeze(1)
     columns = {f.name: getattr(q, f.name) for f in fields(q)}
-    return Quality(**{n: v.index_select(0, rows) if n in _OF_TRIANGLES else v[at] for n, v in columns.items()})
+    some = {
+        n: v.index_select(0, rows) if n in _OF_TRIANGLES else v[at] for n, v in columns.items() if n not in _OF_QUADS
+    }
+    return Quality(**some, **{name: columns[name] for name in _OF_QUADS})
 
 
 def put_quality(q: Quality, at: Tensor, triangles: Tensor, part: Quality) -> Quality:
     """`q` with the rows of the meshes `at` (B,) bool and of their `triangles` (T,) bool replaced by those of `part`."""
-    masks = {f.name: triangles if f.name in _OF_TRIANGLES else at for f in fields(q)}
-    return Quality(**{name: put_rows(getattr(q, name), mask, getattr(part, name)) for name, mask in masks.items()})
+    masks = {f.name: triangles if f.name in _OF_TRIANGLES else at for f in fields(q) if f.name not in _OF_QUADS}
+    whole = {name: put_rows(getattr(q, name), mask, getattr(part, name)) for name, mask in masks.items()}
+    return Quality(**whole, **{name: getattr(q, name) for name in _OF_QUADS})
 
 
 def select_conformity(found: SizeConformity | None, at: Tensor) -> SizeConformity | None:

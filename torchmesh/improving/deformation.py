@@ -22,6 +22,7 @@ from ..mesh.boundary_parts import part_vertices
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import released
 from ..mesh.measure import quality
+from ..mesh.quads import halved, has_quads, whole
 from ..mesh.ragged import spread
 from ..mesh.regions import region_areas
 from ..mesh.validation import fit_positions
@@ -176,6 +177,18 @@ def _deform(
     layer: tuple[str, ...],
     trail: bool,
 ) -> tuple[MeshBatch, DeformReport]:
+    if has_quads(batch):
+        if options.improve.topology == "full" or options.improve.quads == "split":
+            raise ValueError(
+                "deform of meshes with quads keeps every quad: topology 'full' and quads='split' do not go"
+            )
+        improve_too = replace(options.improve, local_repair=None)
+        if options.improve.reference is not None:
+            improve_too = replace(improve_too, reference=halved(options.improve.reference))
+        reference = None if options.reference is None else halved(options.reference)
+        options = replace(options, improve=improve_too, reference=reference)
+        after, report = _deform(halved(batch), new_points, steps, options, progress, hold, rigid, layer, trail)
+        return _in_whole(after, report)
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise ValueError(f"steps must be 'auto' or a number of steps, at least 1, not {steps!r}")
     given, batch = batch, with_held(batch, hold)
@@ -210,6 +223,24 @@ def _deform(
     changed = has_rewired(given, after)
     pieces = None if motion.pieces is None else _trails(motion, given, after)
     return after, replace(report, rewired=changed, trail=pieces)
+
+
+def _in_whole(after: MeshBatch, report: DeformReport) -> tuple[MeshBatch, DeformReport]:
+    """The result of `deform` of quads as halves, in the form that callers see."""
+    after = whole(after)
+    trail = report.trail and [
+        [
+            replace(
+                piece,
+                before=whole(piece.before),
+                after=whole(piece.after),
+                previous=None if piece.previous is None else whole(piece.previous),
+            )
+            for piece in pieces
+        ]
+        for pieces in report.trail
+    ]
+    return after, replace(report, trail=trail, report=replace(report.report, quality=quality(after)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,7 +86,7 @@ def _proved(mesh: MeshBatch, found: "dict[int, list[Problem]]") -> Tensor:
     for b, problems in found.items():
         first = int(mesh.point_offsets[b])
         proved[b] = any(
-            problem.kind in (ProblemKind.FIXED_TRIANGLE, ProblemKind.NO_KERNEL)
+            problem.kind in (ProblemKind.FIXED_TRIANGLE, ProblemKind.FIXED_QUAD, ProblemKind.NO_KERNEL)
             or (
                 problem.kind is ProblemKind.DUPLICATE_VERTICES
                 and tuple(sorted(v + first for v in problem.vertices)) in stay

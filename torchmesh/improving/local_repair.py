@@ -102,7 +102,15 @@ class Submeshes:
         return replace(
             state,
             mesh=self.paste(part.mesh),
-            quality=Quality(area, ratio, upright, mean, segment_max(ratio, offsets), part.quality.inverted),
+            quality=replace(
+                state.quality,
+                area=area,
+                inverse_mean_ratio=ratio,
+                upright=upright,
+                mean=mean,
+                max=segment_max(ratio, offsets),
+                inverted=part.quality.inverted,
+            ),
             status=part.status,
             reasons=part.reasons,
             faults=part.faults,

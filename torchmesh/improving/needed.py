@@ -50,7 +50,7 @@ def beyond(
     bad = (angle < t) | (ratio > bound.ratio)
     if bool(bad.any()):
         limits = limits_of(mesh) if limits is None else limits
-        few = replace(mesh, triangles=mesh.triangles.index_select(0, rows))
+        few = replace(mesh, triangles=mesh.triangles.index_select(0, rows), _twin=None)
         asked, most = asked_of(few, limits, t, bound.ratio, bound.limit_share)
         bad = (angle < asked) | (ratio > most)
     return (~q.upright).index_put((rows,), bad)

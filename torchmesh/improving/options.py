@@ -21,7 +21,8 @@ class ImproveOptions:
 
     method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
     topology          "keep": the triangles stay; "flip": the number and order of vertices stay, and edges may change;
-                      "full": vertices may be added and removed (`Report.vertex_map` says which)
+                      "full": vertices may be added and removed (`Report.vertex_map` says which).  Quads stay quads: no
+                      flip removes their edges, and under "full" their vertices stay where "flip" has brought them
     remesh            the sizes and limits of topology "full".  Under "flip", vertices travel from crowded to empty
                       regions towards these sizes, if shapes are poor or if sizes other than "boundary" are asked for.
                       The sizes "keep" are those of the `reference`, if there is one
@@ -59,6 +60,8 @@ class ImproveOptions:
                       excellent elsewhere is worked on only round the tangle, if that is enough; the rest keeps its
                       bits.  This is not done with sizes, targets, reference, sliding or topology "full".  The record
                       says what small, large and excellent mean; None: it is never done
+    quads             quads that come out inverted: "keep": they stay quads, and the message names their rows; "split":
+                      they become two triangles each, and the work begins anew (`Report.split_quads`)
     when              only meshes beyond this bound are worked on, and under scope "damage" only places beyond it; the
                       others come back to the bit, in about the time of measuring them.  None: every mesh is
     least_gain        a mesh that came valid, and would gain less than this, comes back as it was given.  Not asked
@@ -93,6 +96,7 @@ class ImproveOptions:
     scope: Literal["all", "damage"] = "all"
     damage: Damage = field(default_factory=Damage)
     local_repair: LocalRepair | None = field(default_factory=LocalRepair)
+    quads: Literal["keep", "split"] = "keep"
     when: Bound | None = None
     least_gain: LeastGain | None = field(default_factory=LeastGain)
     max_motion: float | None = None
@@ -105,6 +109,8 @@ class ImproveOptions:
             raise ValueError(f"ImproveOptions.topology must be 'keep', 'flip' or 'full', not {self.topology!r}")
         if self.topology == "full" and self.method == "paper":
             raise ValueError("ImproveOptions.topology='full' needs method 'default': the paper keeps every vertex")
+        if self.quads not in ("keep", "split"):
+            raise ValueError(f"ImproveOptions.quads must be 'keep' or 'split', not {self.quads!r}")
         if self.boundary not in ("fixed", "slide"):
             raise ValueError(f"ImproveOptions.boundary must be 'fixed' or 'slide', not {self.boundary!r}")
         check_interfaces(self.interfaces, "ImproveOptions.interfaces")

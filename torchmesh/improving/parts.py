@@ -16,9 +16,11 @@ import torch
 from torch import Tensor
 
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, constrained_half_edges, triangle_mesh
+from ..mesh.batch import MeshBatch, triangle_mesh
 from ..mesh.connectivity import keys_of
+from ..mesh.quads import diagonals
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_ids, segment_max, segment_sum, spread
+from ..mesh.submesh import with_both_halves
 from ..mesh.vertex_map import Names
 from .report import Step
 from .runner import Log, Work
@@ -50,9 +52,14 @@ class Parts:
     def cut_out(cls, batch: MeshBatch, free: Tensor) -> "Parts":
         """The parts round the vertices `free` (V,) bool: all the triangles at these, parted where no free vertex is."""
         count = len(batch.points)
-        faces = connectivity.touching(batch.triangles, free).nonzero().squeeze(1)
+        touched = connectivity.touching(batch.triangles, free)
+        touched = with_both_halves(batch, touched)[0] if len(batch.quads) else touched
+        faces = touched.nonzero().squeeze(1)
         here = batch.triangles[faces]
         apart = ~(free[connectivity.tails(here)] | free[connectivity.heads(here)])
+        if len(batch.quads):
+            # Both halves of a quad are in one part.
+            apart &= ~diagonals(batch).reshape(-1, 3)[faces].reshape(-1)
         label = connectivity.triangle_components(here, connectivity.twins(here), apart)
         order = label.argsort(stable=True)
         faces, label = faces[order], label[order]
@@ -63,7 +70,8 @@ class Parts:
         owner = triangle_mesh(batch)[faces[offsets[:-1]]]
         # Constrained edges on the outline of a part bind nothing in it.
         twin = connectivity.twins(local)
-        locked = constrained_half_edges(batch).reshape(-1, 3)[faces].reshape(-1)
+        locked = connectivity.half_edges_on(batch.triangles, batch.constrained_edges, count)
+        locked = locked.reshape(-1, 3)[faces].reshape(-1)
         h = torch.arange(len(twin), device=twin.device)
         h = h[locked & (h < twin)]
         edges = torch.stack([connectivity.tails(local)[h], connectivity.heads(local)[h]], 1)
@@ -76,6 +84,7 @@ class Parts:
             offsets,
             batch.frames[owner],
             (local, twin),
+            *_quads_in(batch, faces, local, label, parts),
         )
         inside = connectivity.vertex_triangle_counts(local, len(vertices))
         everywhere = connectivity.vertex_triangle_counts(batch.triangles, count)[vertices]
@@ -119,6 +128,17 @@ class Parts:
         same, times = torch.unique(keys, return_counts=True)
         taken = torch.cat([keys_of(there, count), same[times > 1]])
         return bad.index_fill_(0, owner[torch.isin(keys, taken)], True)
+
+
+def _quads_in(batch: MeshBatch, faces: Tensor, local: Tensor, label: Tensor, parts: int) -> tuple[Tensor, Tensor, int]:
+    """The quads of the parts, their offsets and the rows that stand for each.
+
+    faces, local, label  (T',) the rows of the triangles, (T', 3) their vertices in the parts, and (T',) their parts
+    """
+    halves = batch.of_quads[faces] if len(batch.quads) else torch.zeros_like(faces, dtype=torch.bool)
+    first, second = local[halves].reshape(-1, 2, 3).unbind(1)
+    offsets = offsets_from_counts(torch.bincount(label[halves][::2], minlength=parts))
+    return torch.cat([first, second[:, 1:2]], 1), offsets, batch.rows_per_quad
 
 
 def _edges_of(mesh: MeshBatch, row: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:

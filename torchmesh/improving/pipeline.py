@@ -9,11 +9,13 @@ import torch
 from torch import Tensor
 
 from ..errors import what_failed
-from ..mesh.batch import MeshBatch, check_rows
+from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import interface_vertices, released
 from ..mesh.measure import quality
+from ..mesh.quads import has_quads
 from ..mesh.ragged import segment_count
+from ..mesh.rows import check_rows
 from ..mesh.unfit import on_a_line, unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
 from ..optimising.targets import as_targets, check_fit
@@ -51,7 +53,7 @@ def improve(
     hold: Tensor | None = None,
     walls: Mapping[str, Tensor] | Callable[[], Mapping[str, Tensor]] | None = None,
 ) -> tuple[MeshBatch, Report]:
-    """Give every mesh of the batch upright triangles of good shape, as far as its boundary allows.
+    """Give every mesh of the batch upright triangles and quads of good shape, as far as its boundary allows.
 
     The number and order of the vertices stay, except under topology "full"; so do the positions of fixed vertices, and
     the boundary and constrained edges.  The result for a mesh does not depend on the other meshes of the batch.  The
@@ -79,6 +81,10 @@ def improve(
     """
     options = options or ImproveOptions()
     check_rows(batch)
+    if has_quads(batch):
+        from .mixed import improve_mixed
+
+        return improve_mixed(improve, batch, options, progress=progress, observe=observe, hold=hold, walls=walls)
     hold = None if hold is None else checked_hold(batch, hold)
     if options.reference is not None:
         check_reference(batch, options.reference)

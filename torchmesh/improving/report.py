@@ -66,7 +66,7 @@ class Report:
     """What `improve` did, per mesh (B,).
 
     status     int64 `Status`
-    valid      bool, every triangle is upright by its exact sign
+    valid      bool, every triangle, and every corner of a quad, is upright by its exact sign
     certified  bool, the mesh is valid, its boundary edges, constrained edges and Euler number are those given, and no
                fixed vertex has moved except those that slide
     quality    the `Quality` at the end
@@ -81,6 +81,8 @@ class Report:
                for and the number of vertices stays.  Under "flip", sizes that were given by vertex have travelled with
                the vertices, and are scaled so that they fit the number of vertices
     rewired    bool, some triangle has other corners than in the mesh given; `tm.rewired(before, after)` says which
+    split_quads  (Q,) bool, the quads given that became two triangles each (`ImproveOptions.quads`); these follow the
+               triangles of their mesh.  None where there was no quad
     regions    the areas of the regions between interfaces, before and after; None unless interfaces moved freely
     lost       for each mesh, names for what its file held and the written one does not; it is filled when a file is
                written, and empty for meshes that come from no file
@@ -100,6 +102,7 @@ class Report:
     regions: "RegionAreas | None" = None
     notes: list[str] = field(default_factory=list)
     rewired: Tensor | None = None
+    split_quads: Tensor | None = None
 
     def __post_init__(self) -> None:
         self.lost.extend([] for _ in range(len(self.messages) - len(self.lost)))

@@ -1,6 +1,6 @@
 """The shapes that are meant at each place, and which triangles are damaged beside them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -25,12 +25,14 @@ class Meant:
                is meant was asked for
     reference  (T, 2, 2) the shapes of undeformed triangles, which count where the triangles are still the same
     triangles  (T, 3) int64, these triangles; -1 for others
+    points     (V, 2) where the vertices of the reference are
     """
 
     targets: Targets
     usual: Tensor | None = None
     reference: Tensor | None = None
     triangles: Tensor | None = None
+    points: Tensor | None = None
 
     @classmethod
     def of(cls, state: State) -> "Meant":
@@ -45,7 +47,8 @@ class Meant:
         usual = usual_ratio(state.mesh, median, upright)
         if state.reference is None:
             return cls(MetricField(median), usual)
-        return cls(MetricField(median), usual, target_from(state.reference), state.reference.triangles)
+        reference = state.reference
+        return cls(MetricField(median), usual, target_from(reference), reference.triangles, reference.points)
 
     @property
     def of_vertices(self) -> Tensor | None:
@@ -73,7 +76,11 @@ class Meant:
             return Meant(targets, usual)
         same = (parts.batch.triangles == self.triangles).all(1)[parts.triangles]
         triangles = torch.where(same[:, None], parts.mesh.triangles, -1)
-        return Meant(targets, usual, self.reference[parts.triangles], triangles)
+        if self.points is None or not len(parts.batch.quads):
+            return Meant(targets, usual, self.reference[parts.triangles], triangles)
+        # With quads there are more targets than rows of triangles.
+        points = self.points[parts.vertices]
+        return Meant(targets, usual, target_from(replace(parts.mesh, points=points)), triangles, points)
 
     def pasted(self, made: Pasted, there: "Meant", rows: Tensor) -> "Meant":
         """The same for other vertices; for inserted ones what is meant `there`, in the rows (V',) bool of parts."""

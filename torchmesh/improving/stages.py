@@ -22,6 +22,8 @@ from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import touching
 from ..mesh.interfaces import holding
+from ..mesh.quads import HALVES, triangles_alone, with_triangles_alone
+from ..mesh.ragged import counts_from_offsets
 from ..mesh.vertex_map import Names
 from ..optimising.metric_field import MetricField
 from ..optimising.moves import Monitor
@@ -183,6 +185,25 @@ def remesh(options: RemeshOptions) -> Stage:
         return _edited(state, mesh, done.names, done.size, done.metric, edits), Work.done(state, flips=done.flips)
 
     return stage
+
+
+def on_triangles(stage: Stage) -> Stage:
+    """Runs `stage`, which knows no quads, on the triangles alone: quads stay, with their vertices."""
+
+    def narrowed(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        if not len(state.mesh.quads):
+            return stage(state, monitor)
+        some = counts_from_offsets(state.mesh.triangle_offsets) > HALVES * counts_from_offsets(state.mesh.quad_offsets)
+        work = Work.done(state)
+        if not bool(some.any()):
+            return state, work
+        part = state.select(some)
+        found, done = stage(replace(part, curves=None).at(triangles_alone(part.mesh)), monitor)
+        part = part.at(with_triangles_alone(part.mesh, found.mesh))
+        part = replace(part, reasons=found.reasons, sizes=found.sizes)
+        return state.put(some, part), work.put(some, done)
+
+    return narrowed
 
 
 def attempt(stage: Stage, origin: Callable[[State], MeshBatch] = lambda state: state.mesh) -> Stage:

@@ -42,6 +42,7 @@ from .stages import (
     average,
     flip,
     gather,
+    on_triangles,
     polish,
     regularised,
     relocate,
@@ -146,7 +147,7 @@ def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:
 def untangle_by_retriangulation(state: State, run: Runner, o: ImproveOptions) -> State:
     """Tangled cavities are triangulated anew, which always succeeds if the boundary does not cross itself."""
     if bool(state.tangled.any()):
-        state, _ = run("retriangulate", attempt(retriangulate()), state, state.tangled)
+        state, _ = run("retriangulate", attempt(on_triangles(retriangulate())), state, state.tangled)
     return state
 
 
@@ -174,7 +175,7 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         state, _ = run(
             "flip", attempt(flip(FlipOptions(max_rounds=o.rounds.flip_rounds))), state, state.tangled & fewer
         )
-        state, _ = run("retriangulate", attempt(retriangulate()), state, state.tangled & fewer)
+        state, _ = run("retriangulate", attempt(on_triangles(retriangulate())), state, state.tangled & fewer)
     return replace(state, averaged=None)
 
 
@@ -286,7 +287,7 @@ def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:
         return state
     at = crowded(state.judged, asked, state.mesh.triangle_offsets) & ~state.tethered
     if bool(at.any()):
-        state, work = run("relocate", relocate(o.remesh, keep_sizes=asked.sizes_asked), state, at)
+        state, work = run("relocate", on_triangles(relocate(o.remesh, asked.sizes_asked)), state, at)
         if o.slides:
             state = smooth_in_fitting_precision(state, run, o, o.smooth, work.took & state.valid)
     return state
@@ -297,7 +298,9 @@ def polish_the_worst(state: State, run: Runner, o: ImproveOptions) -> State:
     if o.polish is None:
         return state
     bad = bad_triangles(state.mesh, state.judged, o.polish)
-    return run("polish", tethered(polish(o.polish)), state, segment_any(bad, state.mesh.triangle_offsets))[0]
+    return run(
+        "polish", tethered(on_triangles(polish(o.polish))), state, segment_any(bad, state.mesh.triangle_offsets)
+    )[0]
 
 
 def better_the_sound(state: State, run: Runner, o: ImproveOptions) -> State:

@@ -24,10 +24,11 @@ from ..diagnosing.diagnosis import diagnose
 from ..errors import ConvergenceError, InvalidMeshError
 from ..improving.options import ImproveOptions
 from ..improving.pipeline import improve
-from ..mesh.batch import MeshBatch, check_rows, put
+from ..mesh.batch import MeshBatch, put
 from ..mesh.detached import without_autocast
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
+from ..mesh.rows import check_rows
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..smoothing.smoothing import SmoothOptions, smooth
 from ..status import Status

@@ -1,7 +1,7 @@
-"""The one mesh type: a batch of planar triangle meshes as a disjoint union of rows.
+"""The one mesh type: a batch of planar meshes of triangles and quads as a disjoint union of rows.
 
-A mesh is two arrays, points and triangles.  A batch holds many meshes, one after the other, with offsets that say
-which rows belong to which mesh.  A single mesh is a batch of one.
+A mesh is its points, its triangles, and its quads if it has any.  A batch holds many meshes, one after the other, with
+offsets that say which rows belong to which mesh.  A single mesh is a batch of one.
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
 from .numbers import numbers_of
 from .ragged import counts_from_offsets, offsets_from_counts, owner_of, rows_of, rows_of_each, segment_ids, spread
+from .rows import check_rows
 from .validation import (
     checked_constraints,
     checked_fixed,
@@ -32,7 +33,7 @@ from .winding import oriented
 
 @dataclass(frozen=True, eq=False)
 class MeshBatch:
-    """B planar triangle meshes, each of which owns a contiguous run of rows.
+    """B planar meshes of triangles and quads, each of which owns a contiguous run of rows.
 
     points             (V, 2) float64 or float32, in any one length unit
     triangles          (T, 3) int64, rows of points; counter-clockwise unless the triangle is inverted
@@ -41,6 +42,8 @@ class MeshBatch:
     point_offsets      (B+1,) int64; mesh b owns points[point_offsets[b]:point_offsets[b + 1]]
     triangle_offsets   (B+1,) int64, the same for triangles
     frames             (B, 3, 3) float64, the plane of each mesh in space: origin, x axis, y axis
+    quads              (Q, 4) int64, rows of points; counter-clockwise unless the quad is inverted
+    quad_offsets       (B+1,) int64, as the other offsets
 
     Use `from_arrays` to make one: it checks its arguments, and the constructor does not.  The half-edge twins are
     computed when `twin` is first read, and are kept with the mesh from then on.
@@ -55,9 +58,20 @@ class MeshBatch:
     frames: Tensor
     # The triangles whose twins are known, and these twins.  A mesh with other triangles does not know its twins.
     _twin: tuple[Tensor, Tensor] | None = field(default=None, repr=False)
+    quads: Tensor = None  # type: ignore[assignment]
+    quad_offsets: Tensor = None  # type: ignore[assignment]
+    # How many rows of `triangles` stand for each quad, behind the triangles of its mesh.
+    _rows_per_quad: int = field(default=0, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.quads is None:
+            object.__setattr__(self, "quads", self.triangles.new_zeros((0, 4)))
+            object.__setattr__(self, "quad_offsets", torch.zeros_like(self.point_offsets))
 
     @classmethod
-    def from_arrays(cls, points: Any, triangles: Any, fixed: Any = None, constrained_edges: Any = None) -> "MeshBatch":
+    def from_arrays(
+        cls, points: Any, triangles: Any, fixed: Any = None, constrained_edges: Any = None, *, quads: Any = None
+    ) -> "MeshBatch":
         """One mesh (B = 1) from numpy arrays, torch tensors or nested lists.
 
         points             (V, 2), or (V, 3) in any one plane of space
@@ -68,9 +82,16 @@ class MeshBatch:
                            case
         constrained_edges  (K, 2) integers, edges of the mesh that no flip may remove.  `femwarp` and `deform` carry
                            their ends along; everything else holds them, unless its options say otherwise
+        quads              (Q, 4) integers, rows of points, each in the order in which its boundary passes them; they
+                           are turned round as triangles are.  A mesh may have quads alone: `triangles` is then empty
 
-        Raises InvalidMeshError, which names the row, for anything that is not a planar triangle mesh.
+        Raises InvalidMeshError, which names the row, for anything that is not a planar mesh.
         """
+        if quads is not None and len(quads):
+            from .mixed_arrays import mixed_columns
+
+            columns: dict[str, Any] = mixed_columns(points, triangles, fixed, constrained_edges, quads)
+            return cls(**columns)
         xyz = checked_points(points)
         faces = checked_triangles(triangles, len(xyz)).to(xyz.device)
         xyz = checked_positions(xyz, faces)
@@ -118,10 +139,23 @@ class MeshBatch:
         return len(self.point_offsets) - 1
 
     def __repr__(self) -> str:
+        quads = f"{len(self.quads)} quads, " if len(self.quads) else ""
         return (
-            f"MeshBatch({len(self)} meshes, {len(self.points)} points, {len(self.triangles)} triangles, "
+            f"MeshBatch({len(self)} meshes, {len(self.points)} points, {len(self.triangles)} triangles, {quads}"
             f"{self.points.dtype}, {self.points.device})"
         )
+
+    @property
+    def rows_per_quad(self) -> int:
+        """How many rows of `triangles` stand for each quad: none but inside of the package (`mesh.quads`)."""
+        return self._rows_per_quad
+
+    @property
+    def of_quads(self) -> Tensor:
+        """(T,) bool, the rows of `triangles` that stand for quads; there are none but inside of the package."""
+        ends, behind = self.triangle_offsets, self.rows_per_quad * counts_from_offsets(self.quad_offsets)
+        row = torch.arange(len(self.triangles), device=ends.device)
+        return row >= spread(ends[1:] - behind, ends)
 
     def with_points(self, points: Tensor) -> "MeshBatch":
         """The same meshes at other positions (V, 2), which may be anything: not even finite.
@@ -162,14 +196,16 @@ class MeshBatch:
         A dtype converts the points only; a device moves every tensor.
         """
         points = self.points.to(*args, **kwargs)
-        columns = (f.name for f in dataclasses.fields(self) if f.name not in ("points", "_twin"))
-        return MeshBatch(points, **{name: getattr(self, name).to(points.device) for name in columns})
+        plain = ("points", "_twin", "_rows_per_quad")
+        columns = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in plain}
+        moved = {name: column.to(points.device) for name, column in columns.items()}
+        return MeshBatch(points, **moved, _rows_per_quad=self.rows_per_quad)
 
     def split(self) -> list["MeshBatch"]:
         """The B meshes, each as a batch of one."""
         if len(self) == 1:
             return [self]
-        vertex, face = self.point_offsets.tolist(), self.triangle_offsets.tolist()
+        vertex, face, quad = (v.tolist() for v in (self.point_offsets, self.triangle_offsets, self.quad_offsets))
         owner, twin = constraint_owner(self), self.known_twin
         meshes = []
         for b in range(len(self)):
@@ -185,6 +221,9 @@ class MeshBatch:
                     self.triangle_offsets[b : b + 2] - face[b],
                     self.frames[b : b + 1],
                     None if twin is None else (triangles, _shifted(twin[3 * t.start : 3 * t.stop], -3 * t.start)),
+                    self.quads[quad[b] : quad[b + 1]] - vertex[b],
+                    self.quad_offsets[b : b + 2] - quad[b],
+                    self.rows_per_quad,
                 )
             )
         return meshes
@@ -215,6 +254,8 @@ class MeshBatch:
         triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[numbers])
         shift = offsets[:-1] - self.point_offsets[:-1][numbers]
         triangles = self.triangles.index_select(0, faces).add_(spread(shift, triangle_offsets)[:, None])
+        quad_offsets = offsets_from_counts(counts_from_offsets(self.quad_offsets)[numbers])
+        quads = self.quads[rows_of_each(numbers, self.quad_offsets)] + spread(shift, quad_offsets)[:, None]
         twin = self.known_twin
         return MeshBatch(
             self.points.index_select(0, rows),
@@ -225,33 +266,9 @@ class MeshBatch:
             triangle_offsets,
             self.frames[numbers],
             None if twin is None else (triangles, _taken_twins(self, twin, numbers, triangle_offsets)),
-        )
-
-
-def check_rows(batch: MeshBatch) -> None:
-    """Raise InvalidMeshError, naming mesh and row, unless all triangles are of vertices of their own mesh.
-
-    `MeshBatch.from_arrays` makes sure of that; the constructor does not.
-    """
-    points, faces, ends, corners = batch.points, batch.triangles, batch.triangle_offsets, batch.point_offsets
-    if points.ndim != 2 or points.shape[1] != 2 or points.dtype not in (torch.float32, torch.float64):
-        raise InvalidMeshError(f"points must be (V, 2), float32 or float64, not {tuple(points.shape)} {points.dtype}")
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
-        raise InvalidMeshError(f"triangles must be (T, 3) int64, not {tuple(faces.shape)} {faces.dtype}")
-    if batch.fixed.shape != points.shape[:1] or batch.fixed.dtype != torch.bool:
-        raise InvalidMeshError(
-            f"fixed must be ({len(points)},) bool, not {tuple(batch.fixed.shape)} {batch.fixed.dtype}"
-        )
-    if int(corners[-1]) != len(points) or int(ends[-1]) != len(faces) or len(corners) != len(ends):
-        raise InvalidMeshError("the offsets of the batch do not fit its points and triangles")
-    outside = ((faces < spread(corners[:-1], ends)[:, None]) | (faces >= spread(corners[1:], ends)[:, None])).any(1)
-    if bool(outside.any()):
-        row = int(outside.nonzero()[0, 0])
-        b = int(owner_of(outside.nonzero()[:1, 0], ends))
-        low, high = corners[b : b + 2].tolist()
-        raise InvalidMeshError(
-            f"mesh {b}: triangles row {row} is {faces[row].tolist()}: the mesh's rows of points run from {low} to "
-            f"{high - 1}"
+            quads,
+            quad_offsets,
+            self.rows_per_quad,
         )
 
 
@@ -267,6 +284,8 @@ def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
         raise InvalidMeshError(f"the meshes to join differ in dtype or device: {sorted(map(str, kinds))}; use .to(...)")
     if len(meshes) == 1:
         return meshes[0]
+    if len({m.rows_per_quad for m in meshes if len(m.quads)}) > 1:
+        raise InvalidMeshError("the meshes to join have quads in different forms")
     device = meshes[0].points.device
     shifts = offsets_from_counts(torch.tensor([len(m.points) for m in meshes], device=device)).tolist()
     triangles = torch.cat([m.triangles + s for m, s in zip(meshes, shifts, strict=False)])
@@ -279,6 +298,9 @@ def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
         offsets_from_counts(torch.cat([counts_from_offsets(m.triangle_offsets) for m in meshes])),
         torch.cat([m.frames for m in meshes]),
         None if any(m.known_twin is None for m in meshes) else (triangles, _joined_twins(meshes)),
+        torch.cat([m.quads + s for m, s in zip(meshes, shifts, strict=False)]),
+        offsets_from_counts(torch.cat([counts_from_offsets(m.quad_offsets) for m in meshes])),
+        max(m.rows_per_quad for m in meshes),
     )
 
 
@@ -362,5 +384,13 @@ def constraint_owner(mesh: MeshBatch) -> Tensor:
 
 
 def constrained_half_edges(mesh: MeshBatch) -> Tensor:
-    """(3T,) bool: the half-edges, both of an edge, that lie on constrained edges."""
-    return connectivity.half_edges_on(mesh.triangles, mesh.constrained_edges, len(mesh.points))
+    """(3T,) bool: the half-edges, both of an edge, that no flip may remove: constrained ones, and those of quads."""
+    return connectivity.half_edges_on(mesh.triangles, kept_edges(mesh), len(mesh.points))
+
+
+def kept_edges(mesh: MeshBatch) -> Tensor:
+    """(K, 2) the constrained edges, and the edges and diagonals of the quads whose halves are among the triangles."""
+    if not len(mesh.quads) or mesh.rows_per_quad != 2:
+        return mesh.constrained_edges
+    a, b, c, d = mesh.quads.unbind(1)
+    return torch.cat([mesh.constrained_edges, *(torch.stack(e, 1) for e in ((a, b), (b, c), (c, d), (d, a), (a, c)))])

@@ -15,6 +15,7 @@ from ..errors import InvalidMeshError
 from . import connectivity
 from .batch import MeshBatch
 from .file_axes import told
+from .quads import halved
 
 # A box is this part of the mesh's extent larger than given, because coordinates in files are rounded.
 _BOX_TOLERANCE = 1e-9
@@ -23,8 +24,9 @@ _BOX_TOLERANCE = 1e-9
 def boundary_parts(mesh: MeshBatch, triangles: Tensor | None = None) -> dict[str, Tensor]:
     """The vertices of the boundary's loops, by name: outer loops, largest first, then holes from left to right.
 
-    triangles  (T, 3) int64, which bound the loops; None: those of the mesh
+    triangles  (T, 3) int64, which bound the loops; None: those of the mesh, and its quads
     """
+    mesh = halved(mesh)
     faces, twin = (mesh.triangles, mesh.twin) if triangles is None else (triangles, connectivity.twins(triangles))
     edges = connectivity.boundary_edges(faces, twin)
     outer: list[tuple] = []

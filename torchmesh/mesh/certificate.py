@@ -39,6 +39,11 @@ def same_frame(
     fail((gone | (stays & (before.points != after.points[new_row]).any(1))).nonzero().squeeze(1))
     if before.triangles is after.triangles:
         return same
+    if len(before.quads):
+        # The halves of quads are where they were, row by row.
+        halves = before.of_quads.nonzero().squeeze(1)
+        gone = (before.triangles[halves] != after.triangles[halves]).any(1)
+        same[owner_of(halves[gone], before.triangle_offsets)] = False
     count = len(before.points)
     # The twins of the result are computed anew: a certificate must not lean on what the stages handed on.
     old_twin, twin = before.twin, connectivity.twins(after.triangles)

@@ -14,7 +14,7 @@ def frozen_triangles(batch: MeshBatch, stays: Tensor | None = None) -> Tensor:
     stays  (V,) bool, the vertices that do not move; None: the fixed ones
     """
     frozen = torch.zeros(len(batch.triangles), dtype=torch.bool, device=batch.triangles.device)
-    if not len(batch.constrained_edges):
+    if not len(batch.constrained_edges) and not len(batch.quads):
         return frozen
     rows = (batch.fixed if stays is None else stays)[batch.triangles].all(1).nonzero().squeeze(1)
     if not len(rows):

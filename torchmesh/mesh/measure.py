@@ -1,4 +1,4 @@
-"""How good a mesh is: areas, shapes, angles, per triangle and per mesh."""
+"""How good a mesh is: areas, shapes, angles, per triangle, per quad and per mesh."""
 
 import math
 from dataclasses import dataclass
@@ -11,22 +11,30 @@ from ..errors import InvalidMeshError
 from ..kernels import geometry
 from ..kernels.library import library_for
 from ..kernels.signs import triangle_signs
-from . import connectivity, triangle
+from . import connectivity, quadrilateral, triangle
 from .batch import MeshBatch
 from .predicates import orientation, orientation_by_products
+from .quadrilateral import quad_corners
+from .quads import HALVES, has_quads, inverted_quads
 from .ragged import counts_from_offsets, owner_of, segment_count, segment_max, segment_min, segment_sum
 from .triangle import angles, corners
+
+# What a batch without quads has for them, once for all.
+_NO_NUMBERS, _NO_FLAGS = torch.zeros(0, dtype=torch.float64), torch.zeros(0, dtype=torch.bool)
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """The quality of a batch; (T,) per triangle, (B,) per mesh.
+    """The quality of a batch; (T,) per triangle, (Q,) per quad, (B,) per mesh.
 
     area                (T,) signed, in the mesh's unit squared
     inverse_mean_ratio  (T,) 1 for an equilateral triangle, infinite for a flat one
     upright             (T,) bool, area positive by exact sign
-    mean, max           (B,) of the inverse mean ratio, over all triangles
-    inverted            (B,) int64, triangles that are not upright: area negative or zero
+    mean, max           (B,) of the inverse mean ratio, over all triangles and quads
+    inverted            (B,) int64, triangles and quads that are not upright
+    quad_area           (Q,) signed, as for triangles
+    quad_inverse_mean_ratio  (Q,) of the worst corner, 1 for a square: one over Verdict's shape of a quad
+    quad_upright        (Q,) bool, all four corners are upright by exact sign
     """
 
     area: Tensor
@@ -35,14 +43,17 @@ class Quality:
     mean: Tensor
     max: Tensor
     inverted: Tensor
+    quad_area: Tensor = _NO_NUMBERS
+    quad_inverse_mean_ratio: Tensor = _NO_NUMBERS
+    quad_upright: Tensor = _NO_FLAGS
 
 
 def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) -> Quality:
-    """Measure a batch; inverted triangles count with the shape of their mirror image (Kim 2017).
+    """Measure a batch; inverted triangles and corners count with the shape of their mirror image (Kim 2017).
 
     known  the batch as it was, and its quality then: only what changed since is measured
     """
-    rows = None if known is None else _changed(known[0], batch)
+    rows = None if known is None or len(batch.quads) else _changed(known[0], batch)
     if known is None or rows is None or 2 * len(rows) > len(batch.triangles):
         area, ratio, upright = _measure(batch.points, batch.triangles)
     else:
@@ -50,6 +61,8 @@ def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) ->
         whole = known[1].area, known[1].inverse_mean_ratio, known[1].upright
         area, ratio, upright = (old.index_copy(0, rows, new) for old, new in zip(whole, some, strict=True))
     offsets = batch.triangle_offsets
+    if len(batch.quads):
+        return _with_quads(batch, area, ratio, upright)
     return Quality(
         area=area,
         inverse_mean_ratio=ratio,
@@ -57,6 +70,33 @@ def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) ->
         mean=segment_sum(ratio, offsets) / counts_from_offsets(offsets),
         max=segment_max(ratio, offsets),
         inverted=segment_count(~upright, offsets),
+    )
+
+
+def _with_quads(batch: MeshBatch, area: Tensor, ratio: Tensor, upright: Tensor) -> Quality:
+    """The quality of a batch with quads, of whose triangles area, ratio and signs (T,) are known.
+
+    Triangles that stand for a quad get its numbers, but not its area, and are counted with it.
+    """
+    q = quad_corners(batch.points.to(torch.float64), batch.quads)
+    quad_ratio, quad_upright = quadrilateral.inverse_mean_ratio(q), ~inverted_quads(batch.points, batch.quads)
+    of_triangles, offsets, ends = (ratio, upright), batch.triangle_offsets, batch.quad_offsets
+    if batch.rows_per_quad:
+        rows, each = batch.of_quads, batch.rows_per_quad
+        of_triangles, offsets = (ratio[~rows], upright[~rows]), offsets - each * ends
+        ratio, upright = ratio.clone(), upright.clone()
+        ratio[rows], upright[rows] = quad_ratio.repeat_interleave(each), quad_upright.repeat_interleave(each)
+    count = counts_from_offsets(offsets) + counts_from_offsets(ends)
+    return Quality(
+        area=area,
+        inverse_mean_ratio=ratio,
+        upright=upright,
+        mean=(segment_sum(of_triangles[0], offsets) + segment_sum(quad_ratio, ends)) / count,
+        max=torch.maximum(segment_max(of_triangles[0], offsets), segment_max(quad_ratio, ends)),
+        inverted=segment_count(~of_triangles[1], offsets) + segment_count(~quad_upright, ends),
+        quad_area=quadrilateral.signed_area(q),
+        quad_inverse_mean_ratio=quad_ratio,
+        quad_upright=quad_upright,
     )
 
 
@@ -96,13 +136,13 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
 
 
 def shapes(batch: MeshBatch) -> tuple[Tensor, Tensor]:
-    """(T,) the smallest unsigned angle in radians, 0 for a flat triangle, and the inverse mean ratio."""
+    """(T,) the smallest unsigned angle in radians, 0 for a flat triangle, and the inverse mean ratio.
+
+    Triangles that stand for a quad have its ratio, and the angle of `smallest_angles`.
+    """
+    if batch.rows_per_quad == HALVES:
+        return smallest_angles(batch), quality(batch).inverse_mean_ratio
     return _shapes(batch.points, batch.triangles)
-
-
-def smallest_angles(batch: MeshBatch, rows: Tensor) -> Tensor:
-    """(N,) the smallest unsigned angles in radians of the triangles in these `rows` (N,) int64."""
-    return _shapes(batch.points, batch.triangles.index_select(0, rows))[0]
 
 
 def _shapes(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
@@ -112,15 +152,41 @@ def _shapes(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
     return triangle.minimum_angle(t), triangle.inverse_mean_ratio(t)
 
 
+def smallest_angles(batch: MeshBatch, rows: Tensor | None = None) -> Tensor:
+    """(T,) the smallest unsigned angle of each triangle in radians, 0 for a flat one; or (N,) of the `rows` (N,).
+
+    A triangle that stands for a quad has two thirds of how near a corner of it comes to 0 or 180 degrees, so that it
+    has 60 degrees at best, as any triangle does.
+    """
+    faces = batch.triangles if rows is None else batch.triangles.index_select(0, rows)
+    angle = _shapes(batch.points, faces)[0]
+    if batch.rows_per_quad != HALVES:
+        return angle
+    own = quadrilateral.narrowest(quad_corners(batch.points.to(torch.float64), batch.quads)) * (2 / 3)
+    every = angle.new_empty(len(batch.triangles))
+    every[batch.of_quads] = own.repeat_interleave(HALVES)
+    mask = batch.of_quads if rows is None else batch.of_quads[rows]
+    return torch.where(mask, every if rows is None else every[rows], angle)
+
+
 def upright(batch: MeshBatch) -> Tensor:
-    """(T,) bool: the triangle's area is positive, by exact sign."""
+    """(T,) bool: the triangle's area is positive, by exact sign; where it stands for a quad, so are its corners'."""
     if library_for(batch.points) is not None:
-        return triangle_signs(batch.points.to(torch.float64), batch.triangles) > 0
-    return orientation(*corners(batch.points, batch.triangles)) > 0
+        positive = triangle_signs(batch.points.to(torch.float64), batch.triangles) > 0
+    else:
+        positive = orientation(*corners(batch.points, batch.triangles)) > 0
+    if batch.rows_per_quad == HALVES:
+        positive[batch.of_quads] = ~inverted_quads(batch.points, batch.quads).repeat_interleave(HALVES)
+    return positive
 
 
 def refuse_inverted(batch: MeshBatch, why: str) -> None:
-    """Raise InvalidMeshError if a triangle is not upright: its mesh, its row in the batch, and `why` that matters."""
+    """Raise InvalidMeshError if an element is not upright: its mesh, its row in the batch, and `why` that matters."""
+    folded = inverted_quads(batch.points, batch.quads) if len(batch.quads) else _NO_FLAGS
+    if bool(folded.any()):
+        row = folded.nonzero()[0]
+        b = int(owner_of(row, batch.quad_offsets))
+        raise InvalidMeshError(f"mesh {b}: quads row {int(row)} is inverted{why}")
     inverted = ~upright(batch)
     if bool(inverted.any()):
         row = inverted.nonzero()[0]
@@ -129,8 +195,12 @@ def refuse_inverted(batch: MeshBatch, why: str) -> None:
 
 
 def minimum_angle(batch: MeshBatch) -> Tensor:
-    """(B,) smallest unsigned angle of each mesh, in degrees."""
-    return segment_min(shapes(batch)[0], batch.triangle_offsets) * (180 / math.pi)
+    """(B,) smallest unsigned angle of each mesh, in degrees, over the corners of triangles and quads."""
+    least = segment_min(shapes(batch)[0], batch.triangle_offsets)
+    if has_quads(batch):
+        own = quadrilateral.minimum_angle(quad_corners(batch.points.to(torch.float64), batch.quads))
+        least = torch.minimum(least, segment_min(own, batch.quad_offsets))
+    return least * (180 / math.pi)
 
 
 def signed_minimum_angles(mesh: MeshBatch, quality: Quality) -> np.ndarray:
@@ -138,3 +208,9 @@ def signed_minimum_angles(mesh: MeshBatch, quality: Quality) -> np.ndarray:
     at = angles(corners(mesh.points.detach().to(torch.float64), mesh.triangles))
     smallest = torch.rad2deg(torch.minimum(torch.minimum(at[0], at[1]), at[2]))
     return torch.where(quality.upright, smallest, -smallest).clamp(-60.0, 60.0).cpu().numpy()
+
+
+def signed_narrowest_angles(mesh: MeshBatch, quality: Quality) -> np.ndarray:
+    """(Q,) float64 how near a corner of each quad comes to 0 or 180 degrees, negative where the quad is inverted."""
+    own = quadrilateral.narrowest(quad_corners(mesh.points.detach().to(torch.float64), mesh.quads)) * (180 / math.pi)
+    return torch.where(quality.quad_upright, own, -own).clamp(-90.0, 90.0).cpu().numpy()

@@ -1,4 +1,4 @@
-"""Shape metrics under the names people know them by, per triangle and summed up per mesh.
+"""Shape metrics under the names people know them by, per triangle, per quad and summed up per mesh.
 
 Names, formulae and ranges are those of the Verdict manual (Stimpson, Ernst, Knupp, Pebay &
 Thompson, The Verdict Geometric Quality Library, SAND2007-1751), whose triangles stand in space and
@@ -9,6 +9,9 @@ have no sign.  Here a triangle has one, and this is what becomes of it:
 - All others, `equiangle_skew` of later versions of VTK among them, are those of the mirror image.
   For a flat triangle ratios are infinite (`edge_ratio` only where two corners coincide), angles 0 and
   180 degrees, the skew 1.
+
+Those of quads are `QUAD_METRICS`.  There `area`, `mean_ratio`, `scaled_jacobian` and `jacobian` carry the sign, and an
+angle at a corner that turns inwards is above 180 degrees.
 
 Gradients flow to the points.  They are exact where the metric is smooth, those of one branch where
 two edges or angles tie, and 0 for a flat triangle's infinite ratio: finite everywhere.
@@ -22,12 +25,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from . import triangle
+from . import quadrilateral, triangle
 from .batch import MeshBatch
-from .ragged import counts_from_offsets, percentiles, segment_max, segment_min, segment_sum
-from .triangle import Corners, corners
+from .quadrilateral import quad_corners
+from .quads import quad_mesh
+from .ragged import (
+    counts_from_offsets,
+    offsets_from_counts,
+    percentiles,
+    segment_ids,
+    segment_max,
+    segment_min,
+    segment_sum,
+)
+from .triangle import corners
 
-__all__ = ["METRICS", "Metric", "Summary", "evaluate", "measure", "percentiles"]
+__all__ = ["METRICS", "QUAD_METRICS", "Metric", "Summary", "evaluate", "measure", "measure_quads", "percentiles"]
 
 
 def __dir__() -> list[str]:
@@ -38,16 +51,16 @@ def __dir__() -> list[str]:
 class Metric:
     """One shape metric.
 
-    name      as in `METRICS`
-    formula   corners of T triangles to (T,)
-    ideal     its value for an equilateral triangle; None: a size, which has none
-    lowest, highest  its range over all triangles, inverted and flat ones included
+    name      as in `METRICS` or `QUAD_METRICS`
+    formula   corners of T triangles to (T,), or of Q quads to (Q,)
+    ideal     its value for an equilateral triangle or a square; None: a size, which has none
+    lowest, highest  its range over all triangles or quads, inverted and flat ones included
     unit      "degrees", "length^2" or "" for a pure number
     verdict   what the Verdict manual calls it, if it has it
     """
 
     name: str
-    formula: Callable[[Corners], Tensor]
+    formula: Callable[[Any], Tensor]
     ideal: float | None
     lowest: float
     highest: float
@@ -55,16 +68,16 @@ class Metric:
     verdict: str | None = None
 
 
-def _degrees(formula: Callable[[Corners], Tensor]) -> Callable[[Corners], Tensor]:
+def _degrees(formula: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
     return lambda t: formula(t) * (180 / math.pi)
 
 
-def _shape(t: Corners) -> Tensor:
+def _shape(t: triangle.Corners) -> Tensor:
     """(T,) the algebraic shape metric (Knupp, Algebraic mesh quality metrics, SIAM J. Sci. Comput. 23, 2001)."""
     return triangle.mean_ratio(t).clamp_min(0)
 
 
-def _equiangle_skew(t: Corners) -> Tensor:
+def _equiangle_skew(t: triangle.Corners) -> Tensor:
     """(T,) how far the worst angle is from 60 degrees, as a part of how far it can be."""
     third = math.pi / 3
     widest, narrowest = triangle.maximum_angle(t), triangle.minimum_angle(t)
@@ -92,25 +105,58 @@ METRICS: dict[str, Metric] = {
 
 """The metrics by name.  Of triangles, Verdict's condition number and aspect Frobenius are the inverse mean ratio."""
 
+QUAD_METRICS: dict[str, Metric] = {
+    metric.name: metric
+    for metric in (
+        Metric("area", quadrilateral.signed_area, None, -math.inf, math.inf, "length^2", "signed area"),
+        Metric("inverse_mean_ratio", quadrilateral.inverse_mean_ratio, 1, 1, math.inf),
+        Metric("mean_ratio", quadrilateral.signed_shape, 1, -1, 1),
+        Metric("shape", quadrilateral.shape, 1, 0, 1, "", "shape"),
+        Metric("scaled_jacobian", quadrilateral.scaled_jacobian, 1, -1, 1, "", "scaled Jacobian"),
+        Metric("jacobian", quadrilateral.jacobian, None, -math.inf, math.inf, "length^2", "Jacobian"),
+        Metric("condition", quadrilateral.condition, 1, 1, math.inf, "", "condition"),
+        Metric("aspect_ratio", quadrilateral.aspect_ratio, 1, 1, math.inf, "", "aspect ratio"),
+        Metric("radius_ratio", quadrilateral.radius_ratio, 1, 1, math.inf, "", "radius ratio"),
+        Metric("edge_ratio", quadrilateral.edge_ratio, 1, 1, math.inf, "", "edge ratio"),
+        Metric("skew", quadrilateral.skew, 0, 0, 1, "", "skew"),
+        Metric("taper", quadrilateral.taper, 0, 0, math.inf, "", "taper"),
+        Metric("stretch", quadrilateral.stretch, 1, 0, math.inf, "", "stretch"),
+        Metric("warpage", quadrilateral.warpage, 0, 0, 0, "", "warpage"),
+        Metric("minimum_angle", _degrees(quadrilateral.minimum_angle), 90, 0, 90, "degrees", "minimum included angle"),
+        Metric("maximum_angle", _degrees(quadrilateral.maximum_angle), 90, 0, 360, "degrees", "maximum included angle"),
+        Metric("equiangle_skew", quadrilateral.equiangle_skew, 0, 0, 1),
+    )
+}
+"""The metrics of quads by name.  Shape and condition are of the worst corner; the inverse mean ratio is the latter."""
+
 
 def measure(batch: MeshBatch, name: str) -> Tensor:
     """(T,) float64, the metric `name` of every triangle, differentiable with respect to `batch.points`.
 
     Raises ValueError for a name that is not in `METRICS`.
     """
-    return _metric(name).formula(corners(batch.points.to(torch.float64), batch.triangles))
+    return _metric(name, METRICS).formula(corners(batch.points.to(torch.float64), batch.triangles))
+
+
+def measure_quads(batch: MeshBatch, name: str) -> Tensor:
+    """(Q,) float64, the metric `name` of every quad, differentiable with respect to `batch.points`.
+
+    Raises ValueError for a name that is not in `QUAD_METRICS`.
+    """
+    return _metric(name, QUAD_METRICS).formula(quad_corners(batch.points.to(torch.float64), batch.quads))
 
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """How a metric is spread over the triangles of each mesh.
+    """How a metric is spread over the triangles and quads of each mesh.
 
-    metric       what was measured
-    values       (T,) of every triangle
-    min, mean, max  (B,) per mesh
+    metric       what was measured; that of quads where only they have it
+    values       (T,) of every triangle; empty where only quads have the metric
+    min, mean, max  (B,) per mesh, NaN where it has no element with the metric
     percents     the P percentages asked for
-    percentiles  (B, P) the values below which that percentage of a mesh's triangles lies, linear
+    percentiles  (B, P) the values below which that percentage of a mesh's elements lies, linear
                  between neighbours in order (numpy's default)
+    quad_values  (Q,) of every quad; empty where only triangles have the metric
     """
 
     metric: Metric
@@ -120,6 +166,7 @@ class Summary:
     max: Tensor
     percents: tuple[float, ...]
     percentiles: Tensor
+    quad_values: Tensor
 
     def records(self) -> list[dict[str, Any]]:
         """One plain record a mesh: min, mean, max and p5, p50, ... as numbers."""
@@ -131,36 +178,67 @@ class Summary:
 def evaluate(
     batch: MeshBatch, names: Sequence[str] | None = None, percents: Sequence[float] = (5, 50, 95)
 ) -> dict[str, Summary]:
-    """Measure a batch by the metrics `names`, all of `METRICS` by default.
+    """Measure a batch by the metrics `names`, all that its elements have by default.
+
+    What triangles and quads both have is summed up over both.
 
     percents  percentages from 0 to 100, the percentiles to take of each mesh
 
-    Raises ValueError for a name that is not in `METRICS`, or a percentage outside 0 to 100.
+    Raises ValueError for a name that is in neither `METRICS` nor `QUAD_METRICS`, or a percentage outside 0 to 100.
     """
     if isinstance(names, str):
         raise ValueError(f"names must be a list of metric names; for one, write [{names!r}]")
-    wanted = [_metric(name) for name in (METRICS if names is None else names)]
+    known = known_metrics(batch)
+    wanted = [_metric(name, known) for name in (known if names is None else names)]
     for percent in percents:
         if not 0 <= percent <= 100:
             raise ValueError(f"percents must lie between 0 and 100, not {percent}")
-    offsets = batch.triangle_offsets
     t = corners(batch.points.to(torch.float64), batch.triangles)
+    if not len(batch.quads):
+        offsets, nothing = batch.triangle_offsets, batch.points.new_zeros(0, dtype=torch.float64)
+        of_triangles = ((metric, metric.formula(t)) for metric in wanted)
+        return {m.name: _summary(m, values, nothing, values, offsets, percents) for m, values in of_triangles}
+    q = quad_corners(batch.points.to(torch.float64), batch.quads)
+    owners = segment_ids(batch.triangle_offsets), quad_mesh(batch)
     summaries = {}
     for metric in wanted:
-        values = metric.formula(t)
-        summaries[metric.name] = Summary(
-            metric,
-            values,
-            segment_min(values, offsets),
-            segment_sum(values, offsets) / counts_from_offsets(offsets),
-            segment_max(values, offsets),
-            tuple(percents),
-            percentiles(values, offsets, percents),
+        values, own = (
+            table[metric.name].formula(rows) if metric.name in table else batch.points.new_zeros(0, dtype=torch.float64)
+            for table, rows in ((METRICS, t), (QUAD_METRICS, q))
         )
+        # Rows mesh by mesh, triangles before quads.
+        owner = torch.cat([of if len(v) else of[:0] for of, v in zip(owners, (values, own), strict=True)])
+        order = owner.argsort(stable=True)
+        offsets = offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
+        both = torch.cat([values, own])[order]
+        summaries[metric.name] = _summary(metric, values, own, both, offsets, percents)
     return summaries
 
 
-def _metric(name: str) -> Metric:
-    if name not in METRICS:
-        raise ValueError(f"there is no metric {name!r}; there are {', '.join(METRICS)}")
-    return METRICS[name]
+def known_metrics(batch: MeshBatch) -> dict[str, Metric]:
+    """The metrics that the elements of the batch have; those of quads only where there are quads."""
+    return {**METRICS, **QUAD_METRICS, **METRICS} if len(batch.quads) else METRICS
+
+
+def _summary(
+    metric: Metric, values: Tensor, quads: Tensor, both: Tensor, offsets: Tensor, percents: Sequence[float]
+) -> Summary:
+    """The summary of the values `both` (N,) of the elements, mesh by mesh."""
+    some = counts_from_offsets(offsets) > 0
+    ends, nothing = offsets, None
+    if not bool(some.all()):
+        ends = offsets_from_counts(counts_from_offsets(offsets)[some])
+        nothing = both.new_full((len(some), 3 + len(percents)), torch.nan)
+    least, most = segment_min(both, ends), segment_max(both, ends)
+    mean = segment_sum(both, ends) / counts_from_offsets(ends)
+    parts = percentiles(both, ends, percents)
+    if nothing is not None:
+        nothing[some] = torch.cat([torch.stack([least, mean, most], 1), parts], 1)
+        least, mean, most, parts = nothing[:, 0], nothing[:, 1], nothing[:, 2], nothing[:, 3:]
+    return Summary(metric, values, least, mean, most, tuple(percents), parts, quads)
+
+
+def _metric(name: str, known: dict[str, Metric]) -> Metric:
+    if name not in known:
+        raise ValueError(f"there is no metric {name!r}; there are {', '.join(known)}")
+    return known[name]

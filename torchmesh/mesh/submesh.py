@@ -46,8 +46,12 @@ def submesh(batch: MeshBatch, triangles: Tensor, vertices: Tensor | None = None)
     vertices  (V,) bool, which vertices to take along: the corners of the triangles are among them;
               None: the corners alone
 
-    Constrained edges stay where both of their ends do; `fixed` is that of the batch.
+    Constrained edges stay where both of their ends do; `fixed` is that of the batch.  Of a batch with quads as halves,
+    both halves of a quad are taken where one is asked for.
     """
+    kept = None
+    if len(batch.quads):
+        triangles, kept = with_both_halves(batch, triangles)
     if vertices is None:
         vertices = connectivity.corners_of(batch.triangles, triangles, len(batch.points))
     rows, faces = vertices.nonzero().squeeze(1), triangles.nonzero().squeeze(1)
@@ -60,8 +64,18 @@ def submesh(batch: MeshBatch, triangles: Tensor, vertices: Tensor | None = None)
         new_row[batch.point_offsets],
         new_face[batch.triangle_offsets],
         batch.frames,
+        quads=None if kept is None else new_row[batch.quads[kept]],  # type: ignore[arg-type]
+        quad_offsets=None if kept is None else offsets_from_counts(kept)[batch.quad_offsets],  # type: ignore[arg-type]
+        _rows_per_quad=0 if kept is None else batch.rows_per_quad,
     )
     return Submesh(mesh, rows, faces)
+
+
+def with_both_halves(batch: MeshBatch, triangles: Tensor) -> tuple[Tensor, Tensor]:
+    """The `triangles` (T,) bool with both halves of quads of which one is among them, and (Q,) bool these quads."""
+    rows = batch.of_quads.nonzero().squeeze(1).reshape(-1, batch.rows_per_quad)
+    kept = triangles[rows].any(1)
+    return triangles.index_put((rows.reshape(-1),), kept.repeat_interleave(batch.rows_per_quad)), kept
 
 
 def repeated(batch: MeshBatch, meshes: Tensor) -> MeshBatch:

@@ -18,12 +18,12 @@ def unfit_vertices(batch: MeshBatch) -> Tensor:
 
 
 def unfit_meshes(batch: MeshBatch) -> Tensor:
-    """(B,) bool: a corner of some triangle is an unfit vertex.  Vertices without triangles are no matter."""
+    """(B,) bool: a corner of some triangle or quad is an unfit vertex.  Vertices without either do not count."""
     unfit = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
     vertices = unfit_vertices(batch)
     if bool(vertices.any()):
-        corners = batch.triangles[vertices[batch.triangles]]
-        unfit[owner_of(corners, batch.point_offsets)] = True
+        for faces in (batch.triangles, batch.quads):
+            unfit[owner_of(faces[vertices[faces]], batch.point_offsets)] = True
     return unfit
 
 

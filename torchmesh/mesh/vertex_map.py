@@ -158,9 +158,18 @@ def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[T
         twin = torch.where(local < 0, -1, local + 3 * spread(face_offsets[:-1], face_offsets)[:, None]).reshape(-1)
     whole = MeshBatch(
         points, faces, fixed, torch.cat(edges)[order], offsets, face_offsets, batch.frames,
-        None if twin is None else (faces, twin),
+        None if twin is None else (faces, twin), *_exchanged_quads(batch, at, part, offsets),
+        max(batch.rows_per_quad, part.rows_per_quad),
     )  # fmt: skip
     return whole, *(torch.cat(pair)[vertex] for pair in fields)
+
+
+def _exchanged_quads(batch: MeshBatch, at: Tensor, part: MeshBatch, offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """The quads and their offsets in the new batch, whose points have these `offsets` (B+1,)."""
+    rows = _source_rows(batch.quad_offsets, at, part.quad_offsets)
+    ends = offsets_from_counts(_counts(batch.quad_offsets, at, part.quad_offsets))
+    local = [m.quads - spread(m.point_offsets[:-1], m.quad_offsets)[:, None] for m in (batch, part)]
+    return torch.cat(local)[rows] + spread(offsets[:-1], ends)[:, None], ends
 
 
 def _counts(offsets: Tensor, at: Tensor, part: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.means import Means
-from .metric_tensors import determinant, equilateral_metric
+from .metric_tensors import determinant, equilateral_metric, shape_edges
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,7 @@ def usual_ratio(batch: MeshBatch, metric: Tensor, counted: Tensor, options: Medi
 
 def triangle_metrics(batch: MeshBatch) -> Tensor:
     """(T, 3) the metrics of determinant 1 in which the triangles are equilateral; not finite for flat ones."""
-    a, b, c = batch.points.to(torch.float64)[batch.triangles].unbind(1)
-    metric = equilateral_metric(torch.stack([b - a, c - a], 2))
+    metric = equilateral_metric(shape_edges(batch))
     return metric / determinant(metric).sqrt()[:, None]
 
 

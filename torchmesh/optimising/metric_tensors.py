@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
+from ..mesh.batch import MeshBatch
+from ..mesh.triangle import SQRT3
 
 
 def metric_of_targets(matrices: Tensor, name: str) -> Tensor:
@@ -46,6 +48,26 @@ def equilateral_metric(edges: Tensor) -> Tensor:
         ],
         1,
     )
+
+
+def edge_matrices(batch: MeshBatch) -> Tensor:
+    """(T, 2, 2) float64 with the columns b - a and c - a."""
+    a, b, c = batch.points.to(torch.float64)[batch.triangles].unbind(1)
+    return torch.stack([b - a, c - a], 2)
+
+
+def shape_edges(batch: MeshBatch) -> Tensor:
+    """(T, 2, 2) the edge matrices of triangles that are equilateral where those of the batch are as they should be.
+
+    These are those of the triangles themselves.  A half of a quad is the image of half a square under a linear map,
+    and has here the edges of the equilateral triangle under that map.
+    """
+    edges = edge_matrices(batch)
+    if not len(batch.quads):
+        return edges
+    # From half a square, with the edges (1, 0) and (1, 1), to the equilateral triangle: W_half^-1 W.
+    to_equilateral = edges.new_tensor([[1.0, 0.5 - SQRT3 / 2], [0.0, SQRT3 / 2]])
+    return torch.where(batch.of_quads[:, None, None], edges @ to_equilateral, edges)
 
 
 def stretching(direction: Tensor, aspect: Tensor) -> Tensor:

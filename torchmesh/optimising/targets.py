@@ -24,11 +24,12 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, triangle_mesh
 from ..mesh.measure import refuse_inverted
+from ..mesh.quads import HALVES, halved, has_quads, sample_offsets, sampled, spread_to_halves, worst_of_samples
 from ..mesh.ragged import spread
 from ..mesh.triangle import SQRT3, Corners, corners, inverse_mean_ratio, signed_area, squared_edge_lengths
-from .jacobian import Target, invariants, select_rows, target_of
+from .jacobian import Target, equilateral, invariants, select_rows, target_of
 from .metric_field import MetricField, edge_map_of, mean_at_vertices
-from .metric_tensors import equilateral_metric, metric_of_targets, turned
+from .metric_tensors import edge_matrices, equilateral_metric, metric_of_targets, shape_edges, turned
 from .objective import MeshObjective, Packing
 
 Targets = Tensor | MetricField
@@ -41,11 +42,13 @@ TargetFunction = Callable[[Tensor], Tensor]
 def target_from(reference: MeshBatch) -> Tensor:
     """(T, 2, 2) the triangles of `reference` as target matrices, for `SmoothOptions(targets=...)`.
 
-    They serve a batch with the same triangles in the same order, for example the mesh after a deformation.
+    They serve a batch with the same triangles in the same order, for example the mesh after a deformation.  With quads
+    they are (T + 4Q, 2, 2): mesh by mesh those of the triangles, and then four a quad, one for each of its corners in
+    their order, with the edges to the next corner and to the one before.
     Raises InvalidMeshError, naming the row, where a triangle is inverted or flat.
     """
     refuse_inverted(reference, ", so it is no target; improve the reference first")
-    return _edge_matrices(reference)
+    return edge_matrices(sampled(reference))
 
 
 def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricField:
@@ -59,32 +62,54 @@ def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricF
     M = E^-T W^T W E^-1 with W the equilateral triangle, each scaled to determinant 1.  Raises
     InvalidMeshError as `target_from` does, and when `moved` has other triangles.
     """
-    metric = metric_of_targets(target_from(reference), "targets")
+    refuse_inverted(reference, ", so it is no target; improve the reference first")
+    reference = halved(reference)
+    metric = metric_of_targets(shape_edges(reference), "targets")
     if moved is not None:
+        moved = halved(moved)
         if not torch.equal(reference.triangles, moved.triangles):
             raise InvalidMeshError("metric_from needs a moved mesh with the reference's triangles, in their order")
-        metric = turned(metric, equilateral_metric(_edge_matrices(moved)))
+        metric = turned(metric, equilateral_metric(shape_edges(moved)))
     return MetricField(mean_at_vertices(reference, metric))
-
-
-def _edge_matrices(batch: MeshBatch) -> Tensor:
-    """(T, 2, 2) float64 with the columns b - a and c - a."""
-    a, b, c = batch.points.to(torch.float64)[batch.triangles].unbind(1)
-    return torch.stack([b - a, c - a], 2)
 
 
 def target_quality(batch: MeshBatch, targets: Targets) -> Tensor:
     """(T,) inverse mean ratio towards the targets: 1 for an ideal triangle, infinite for a flat one.
 
     This is to the targets what `quality(batch).inverse_mean_ratio` is to equilateral triangles; an inverted
-    triangle has the value of its mirror image.
+    triangle has the value of its mirror image.  With quads it is (T + 4Q,), in the order of `target_from`.
     """
+    if batch.rows_per_quad == HALVES:
+        values = target_quality(sampled(batch), targets)
+        return spread_to_halves(batch, *worst_of_samples(batch, values))
+    if has_quads(batch):
+        return target_quality(sampled(batch), targets)
     t = corners(batch.points.to(torch.float64), batch.triangles)
+    target = ideal(batch)
     if isinstance(targets, MetricField):
-        return inverse_mean_ratio(edge_map_of(targets.at_vertices(batch), batch.triangles).corners(t))
-    stretch, det = invariants(t, _target(batch, targets))
+        t = edge_map_of(targets.at_vertices(batch), batch.triangles).corners(t)
+        if not len(batch.quads):
+            return inverse_mean_ratio(t)
+    else:
+        target = _target(batch, targets)
+    stretch, det = invariants(t, target)
     det = det.abs()
     return torch.where(det > 0, stretch / (2 * torch.where(det > 0, det, 1.0)), torch.inf)
+
+
+def ideal(batch: MeshBatch, size: Tensor | float = 1.0) -> Target:
+    """The target of each triangle (T,) where nothing else is meant: equilateral ones with sides of this size.
+
+    Where triangles are the corners of quads (`mesh.quads.sampled`), they aim at the corner of a square, the right
+    isosceles triangle, of the same area.
+    """
+    plain = equilateral(size)
+    if not len(batch.quads):
+        return plain
+    corner = batch.of_quads
+    square = (2 / SQRT3) / (size * size) * torch.ones(len(corner), dtype=torch.float64, device=corner.device)
+    right = square, torch.zeros_like(square), square, square
+    return Target(*(torch.where(corner, r, torch.as_tensor(p).to(r)) for r, p in zip(right, plain, strict=True)))
 
 
 def aim(objective: MeshObjective, batch: MeshBatch, packing: Packing, targets: Targets) -> MeshObjective:
@@ -112,7 +137,10 @@ def _target(batch: MeshBatch, matrices: Tensor) -> Target:
     """The target matrices (T, 2, 2), checked, as coefficients of J; each is scaled to the area of a unit triangle."""
     count = len(batch.triangles)
     if matrices.shape != (count, 2, 2):
-        raise InvalidMeshError(f"targets must be ({count}, 2, 2), one matrix a triangle, not {tuple(matrices.shape)}")
+        more = " and one a corner of each quad" if len(batch.quads) else ""
+        raise InvalidMeshError(
+            f"targets must be ({count}, 2, 2), one matrix a triangle{more}, not {tuple(matrices.shape)}"
+        )
     w = matrices.to(batch.points.device, torch.float64)
     w = w / w.abs().amax((1, 2)).clamp_min(1e-300)[:, None, None]
     zero = torch.zeros_like(w[:, 0, 0])
@@ -142,7 +170,7 @@ def check_fit(batch: MeshBatch, targets: Targets) -> None:
     if isinstance(targets, MetricField):
         targets.at_vertices(batch)
     else:
-        _target(batch, targets)
+        _target(sampled(batch), targets)
 
 
 def check(targets: object) -> None:
@@ -168,7 +196,7 @@ def check_topology(targets: Targets | TargetFunction | None, topology: str) -> N
 def narrow(targets: Targets | None, batch: MeshBatch, at: Tensor) -> Targets | None:
     """The targets for `batch.select(at)`, at (B,) bool."""
     if isinstance(targets, Tensor):
-        return targets.to(at.device)[spread(at, batch.triangle_offsets)]
+        return targets.to(at.device)[spread(at, sample_offsets(batch) if len(batch.quads) else batch.triangle_offsets)]
     if isinstance(targets, MetricField) and isinstance(targets.values, Tensor):
         return MetricField(targets.values.to(at.device)[spread(at, batch.point_offsets)])
     return targets

@@ -27,8 +27,9 @@ def quality_in_words(quality: Quality) -> str:
 
 def panel_title(name: str, quality: Quality, inches: float) -> str:
     """A name and one mesh in numbers: in one line, or in two if one line is longer than `inches`."""
-    count = len(quality.inverse_mean_ratio)
-    numbers = f"{name} {count:,} triangle{'' if count == 1 else 's'}, {int(quality.inverted[0]):,} inverted,"
+    count, quads = len(quality.inverse_mean_ratio), len(quality.quad_inverse_mean_ratio)
+    more = f" and {quads:,} quad{'' if quads == 1 else 's'}" if quads else ""
+    numbers = f"{name} {count:,} triangle{'' if count == 1 else 's'}{more}, {int(quality.inverted[0]):,} inverted,"
     shapes = shapes_in_words(quality)
     fits = _CHARACTER * (len(numbers) + len(shapes) + 1) <= inches
     return f"{numbers}{' ' if fits else chr(10)}{shapes}"

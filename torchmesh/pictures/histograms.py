@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..mesh.batch import MeshBatch
-from ..mesh.measure import Quality, signed_minimum_angles
+from ..mesh.measure import Quality, signed_minimum_angles, signed_narrowest_angles
 from . import palette
+from .regions import of_elements
 
 # Inverse mean ratios from here on fall into the last bin.
 _LARGEST_RATIO = 10.0
@@ -56,8 +57,8 @@ def shapes(before: Quality, after: Quality) -> Histogram:
     """The inverse mean ratios of all triangles of two meshes."""
     labels = [(t, f"{t:g}") for t in (1, 1.5, 2, 3, 5)]
     return Histogram(
-        before.inverse_mean_ratio.cpu().numpy(),
-        after.inverse_mean_ratio.cpu().numpy(),
+        of_elements(before)[1],
+        of_elements(after)[1],
         np.geomspace(1.0, _LARGEST_RATIO, _RATIO_BINS + 1),
         [*labels, (_LARGEST_RATIO, f"{_LARGEST_RATIO:g}+")],
         "inverse mean ratio, all triangles",
@@ -68,15 +69,20 @@ def shapes(before: Quality, after: Quality) -> Histogram:
 
 def angles(before: MeshBatch, after: MeshBatch, before_quality: Quality, after_quality: Quality) -> Histogram:
     """The smallest angle of every triangle of two meshes; inverted triangles have negative angles."""
-    values = signed_minimum_angles(before, before_quality), signed_minimum_angles(after, after_quality)
+    pairs = ((before, before_quality), (after, after_quality))
+    values = [np.concatenate([signed_minimum_angles(*p), signed_narrowest_angles(*p)]) for p in pairs]
     inverted = min(float(v.min()) for v in values) < 0
-    low = -_LARGEST_ANGLE if inverted else 0.0
+    quads = len(before.quads) > 0
+    largest = 1.5 * _LARGEST_ANGLE if quads else _LARGEST_ANGLE
+    low = -largest if inverted else 0.0
     return Histogram(
-        *values,
-        np.arange(low, _LARGEST_ANGLE + 0.1, _ANGLE_BIN),
-        [(t, f"{t:g}") for t in np.arange(low, _LARGEST_ANGLE + 1, 20.0 if inverted else 10.0)],
-        "smallest angle of each triangle" + (", inverted ones below zero" if inverted else ""),
-        "smallest angle (degrees; 60: equilateral)",
+        values[0],
+        values[1],
+        np.arange(low, largest + 0.1, _ANGLE_BIN),
+        [(t, f"{t:g}") for t in np.arange(low, largest + 1, (30.0 if quads else 20.0) if inverted else 10.0)],
+        f"smallest angle of each {'element' if quads else 'triangle'}"
+        + (", inverted ones below zero" if inverted else ""),
+        "smallest angle (degrees; 60: equilateral" + ("; 90: square)" if quads else ")"),
         shade_below=0.0 if inverted else None,
     )
 

@@ -12,7 +12,7 @@ from ..errors import MissingDependencyError
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
 from . import palette
-from .regions import Box, corner_points, view_of
+from .regions import Box, corner_points, of_elements, view_of
 
 # Sizes in typographic points (1/72 inch).  Edges: their width as a part of a triangle's size, and its limits.
 _EDGE_PART, _THINNEST, _THICKEST = 0.05, 0.03, 0.7
@@ -54,13 +54,13 @@ def plot_mesh(
     ax.set_ylim(view[1], view[3])
     ax.set_aspect("equal", adjustable="box")
     shown = ((high >= view[:2]) & (low <= view[2:])).all(1)
-    upright = quality.upright.cpu().numpy()
+    _, ratio, upright = of_elements(quality)
     good, bad = shown & upright, shown & ~upright
 
     per_unit = _points_per_unit(ax, view)
     size = per_unit * (high - low).max(1)
     typical = float(np.median(size[shown])) if shown.any() else 1.0
-    fill = _fill(ax, shape[good], quality.inverse_mean_ratio.cpu().numpy()[good], typical)
+    fill = _fill(ax, shape[good], ratio[good], typical)
     _mark_inverted(ax, shape[bad], typical)
     small = bad & (size < _DOT_BELOW)
     if small.any():

@@ -27,6 +27,7 @@ from ..improving.report import Report
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
 from ..mesh.measure import quality as measure
+from ..mesh.quads import halved
 from . import histograms, palette
 from .captions import quality_in_words
 from .page_data import CODES_A_DOUBLING, INFINITE_CODE, encode
@@ -67,7 +68,9 @@ def report_page(
     measured = [measure(mesh) for _, mesh in stages]
     labels = [f"{i}. {name}" for i, (name, _) in enumerate(stages)]
     steps = report.steps[0] if report is not None else [None] * len(stages)
-    shown = _shown([len(mesh.triangles) for _, mesh in stages], [int(q.inverted[0]) for q in measured])
+    shown = _shown(
+        [len(mesh.triangles) + 2 * len(mesh.quads) for _, mesh in stages], [int(q.inverted[0]) for q in measured]
+    )
     header, data = _picture(stages, measured, labels, shown)
     names = ("before", "after") if len(stages) > 1 else ("mesh", "mesh")
     summary = [_summary(names, stages, measured), *([_outcome(report)] if report else []), *([note] if note else [])]
@@ -95,7 +98,7 @@ def _picture(
     stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality], labels: Sequence[str], shown: Sequence[int]
 ) -> tuple[dict[str, Any], str]:
     """What the script draws from: its header for JSON, and the encoded data of the stages `shown`."""
-    encoded = encode([(stages[i][1], measured[i]) for i in shown])
+    encoded = encode([_drawn(stages[i][1], measured[i]) for i in shown])
     for entry, i in zip(encoded.header["stages"], shown, strict=True):
         entry["name"] = labels[i]
         entry["label"] = f"{labels[i]}: {quality_in_words(measured[i])}"
@@ -114,6 +117,14 @@ def _picture(
         "infiniteCode": INFINITE_CODE,
     }
     return encoded.header | header, encoded.text
+
+
+def _drawn(mesh: MeshBatch, quality: Quality) -> tuple[MeshBatch, Quality]:
+    """The mesh as the script draws it: of triangles, among which each quad has two with its own quality."""
+    if not len(mesh.quads):
+        return mesh, quality
+    halves = halved(mesh)
+    return halves, measure(halves)
 
 
 def _asset(name: str) -> str:
@@ -154,9 +165,10 @@ def _shown(triangles: Sequence[int], inverted: Sequence[int]) -> list[int]:
 
 
 def _summary(names: Sequence[str], stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality]) -> str:
-    count = len(stages[-1][1].triangles)
+    mesh = stages[-1][1]
     start = f"{names[0]}: {quality_in_words(measured[0])}; " if len(stages) > 1 else ""
-    return f"{count:,} triangles. {start}{names[1]}: {quality_in_words(measured[-1])}."
+    quads = f" and {len(mesh.quads):,} quads" if len(mesh.quads) else ""
+    return f"{len(mesh.triangles):,} triangles{quads}. {start}{names[1]}: {quality_in_words(measured[-1])}."
 
 
 def _ticks() -> str:

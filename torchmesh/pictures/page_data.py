@@ -35,7 +35,7 @@ class Encoded:
     """What the page needs to show the stages.
 
     header  for JSON: the grid's `origin` and `step` in the mesh's length unit, the `frame` of its plane, and for each
-            stage its `vertices` and `triangles` (counts)
+            stage its `vertices` and `triangles` (counts), and `quads`, of which the last triangles are the halves
     text    base64 of the deflated arrays, stage by stage: points, triangles, quality codes, inverted flags
     """
 
@@ -67,7 +67,14 @@ def encode(stages: Sequence[tuple[MeshBatch, Quality]]) -> Encoded:
         "origin": low.tolist(),
         "step": step,
         "frame": stages[0][0].frames[0].tolist(),
-        "stages": [{"vertices": len(m.points), "triangles": len(m.triangles)} for m, _ in stages],
+        "stages": [
+            {
+                "vertices": len(m.points),
+                "triangles": len(m.triangles),
+                **({"quads": len(m.quads)} if len(m.quads) else {}),
+            }
+            for m, _ in stages
+        ],
     }
     return Encoded(header, base64.b64encode(zlib.compress(b"".join(chunks), 9)).decode("ascii"))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..improving.report import Step
 from ..mesh.batch import MeshBatch
-from ..mesh.measure import Quality, signed_minimum_angles
+from ..mesh.measure import Quality, signed_minimum_angles, signed_narrowest_angles
 from .captions import short
 
 _INVERTED = "inverted"
@@ -71,15 +71,18 @@ def series_section(series: Sequence[tuple[str, Quality, Quality, bool]] | None) 
 
 
 def _numbers(mesh: MeshBatch, quality: Quality) -> dict[str, int | float | str]:
-    angle = np.abs(signed_minimum_angles(mesh, quality))
+    quads = {"quads": len(mesh.quads)} if len(mesh.quads) else {}
+    angle = np.abs(np.concatenate([signed_minimum_angles(mesh, quality), signed_narrowest_angles(mesh, quality)]))
+    element = "triangle or quad" if quads else "triangle"
     return {
         "triangles": len(mesh.triangles),
+        **quads,
         "vertices": len(mesh.points),
         _INVERTED: int(quality.inverted[0]),
         "IMR average": float(quality.mean[0]),
         "IMR maximum": float(quality.max[0]),
         "smallest angle (degrees)": f"{angle.min():.2f}",
-        "smallest angle of a triangle, average (degrees)": f"{angle.mean():.2f}",
+        f"smallest angle of a {element}, average (degrees)": f"{angle.mean():.2f}",
     }
 
 

@@ -26,8 +26,22 @@ _LEAST_HALF, _MOST_HALF = 0.01, 0.25
 
 
 def corner_points(mesh: MeshBatch) -> np.ndarray:
-    """(T, 3, 2) float64: the corners of every triangle."""
-    return mesh.points.detach().to("cpu", torch.float64).numpy()[mesh.triangles.cpu().numpy()]
+    """(T, 3, 2) float64: the corners of every triangle; with quads (T + Q, 4, 2), where triangles end twice."""
+    points, rows = mesh.points.detach().to("cpu", torch.float64).numpy(), mesh.triangles.cpu().numpy()
+    if len(mesh.quads):
+        rows = np.concatenate([rows[:, [0, 1, 2, 2]], mesh.quads.cpu().numpy()])
+    return points[rows]
+
+
+def of_elements(quality: Quality) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(T + Q,) each: the areas, the inverse mean ratios and the uprightness of triangles and then quads."""
+    columns = (
+        (quality.area, quality.quad_area),
+        (quality.inverse_mean_ratio, quality.quad_inverse_mean_ratio),
+        (quality.upright, quality.quad_upright),
+    )
+    area, ratio, upright = (torch.cat([one.cpu(), other.cpu()]).numpy() for one, other in columns)
+    return area, ratio, upright
 
 
 def view_of(*meshes: MeshBatch) -> Box:
@@ -55,7 +69,7 @@ def worst_region(mesh: MeshBatch, quality: Quality, aspect: float = 1.0) -> Box:
     low, high = cluster.min(0), cluster.max(0)
     middle = (low + high) / 2
     near = (np.abs(shape.mean(1) - middle) <= np.maximum(high - low, reach)).all(1)
-    side = float(np.sqrt(np.median(quality.area.abs().cpu().numpy()[near])))
+    side = float(np.sqrt(np.median(np.abs(of_elements(quality)[0])[near])))
     least = float(np.clip(_HALF_IN_SIDES * side, _LEAST_HALF * diagonal, _MOST_HALF * diagonal))
     half = np.maximum(0.75 * (high - low), least * np.array([1 / max(aspect, 1.0), 1.0]))
     return shaped((*(middle - half).tolist(), *(middle + half).tolist()), aspect)
@@ -77,8 +91,8 @@ def within(box: Box, view: Box) -> Box:
 
 def _worst_triangles(quality: Quality) -> np.ndarray:
     """Rows of the inverted triangles, or of a few upright ones, from the worst shape on."""
-    ratio = quality.inverse_mean_ratio.cpu().numpy()
-    bad = np.flatnonzero(~quality.upright.cpu().numpy())
+    _, ratio, upright = of_elements(quality)
+    bad = np.flatnonzero(~upright)
     if not len(bad):
         bad = np.argsort(-ratio, kind="stable")[:_WORST]
     return bad[np.argsort(-ratio[bad], kind="stable")][:_MOST_INVERTED]

@@ -26,6 +26,7 @@ from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.measure import Quality, quality, shapes, smallest_angles
 from ..mesh.neighbourhoods import surroundings
+from ..mesh.quads import triangles_alone, with_triangles_alone
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
@@ -136,6 +137,8 @@ class PolishInfo:
 def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[MeshBatch, PolishInfo]:
     """Improve the worst triangles of valid meshes by flips and moves of the vertices near them.
 
+    Quads stay as they are, with their vertices.
+
     Vertices keep number and order; fixed vertices, boundary edges and constrained edges stay.  Some meshes come back
     bit for bit: those without a triangle beyond `angle` or `ratio`, those with inverted triangles, and those with more
     than 8 bad triangles that are also more than 1 % of all (see `levels`); triangles that the boundary forces to be bad
@@ -143,6 +146,9 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
     inverse mean ratio may grow up to `ratio`, but never beyond both that and what it was.
     """
     options = options or PolishOptions()
+    if len(batch.quads):
+        alone, info = polish(triangles_alone(batch), options)
+        return with_triangles_alone(batch, alone), info
     none = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
     bad = bad_triangles(batch, quality(batch), options)
     # Within, `fixed` says all that stays.
@@ -159,15 +165,19 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
 
 
 def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tensor:
-    """(T,) bool: the triangles of the valid meshes that are beyond `angle` or `ratio`; q is the batch's quality."""
+    """(T,) bool: the triangles of the valid meshes beyond `angle` or `ratio`, not those that stand for quads.
+
+    q  the batch's quality
+    """
     t = math.radians(options.angle)
     # In triangles of a lower ratio than any with that angle has, no angle need be measured.
     least = min(least_ratio(t), options.ratio) if t else options.ratio
     bad = q.inverse_mean_ratio > least
     rows = bad.nonzero().squeeze(1)
     valid = q.inverted.index_select(0, owner_of(rows, batch.triangle_offsets)) == 0
-    bad[rows] = valid & _is_bad(smallest_angles(batch, rows), q.inverse_mean_ratio.index_select(0, rows), options)
-    return bad
+    few = smallest_angles(batch, rows)
+    bad[rows] = valid & _is_bad(few, q.inverse_mean_ratio.index_select(0, rows), options)
+    return bad & ~batch.of_quads if len(batch.quads) else bad
 
 
 def _is_bad(angle: Tensor, ratio: Tensor, options: PolishOptions) -> Tensor:

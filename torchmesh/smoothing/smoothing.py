@@ -11,16 +11,17 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
+from ..mesh.quads import halved, sampled
 from ..mesh.ragged import segment_any, spread
 from ..mesh.unfit import unfit_meshes
 from ..optimising.blocks import BLOCK
 from ..optimising.energies import InverseMeanRatio
-from ..optimising.jacobian import equilateral
+from ..optimising.jacobian import select_rows
 from ..optimising.lbfgs import minimise
 from ..optimising.lbfgs_options import LbfgsOptions
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing, pack
-from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check
+from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check, ideal
 from ..status import Status
 
 if TYPE_CHECKING:
@@ -113,9 +114,11 @@ def smooth(
     curves: "BoundaryCurves | None" = None,
     block: int = BLOCK,
 ) -> tuple[MeshBatch, MoveInfo]:
-    """Improve the shapes of a valid batch by moving its free vertices; triangles stay as they are.
+    """Improve the shapes of a valid batch by moving its free vertices; triangles and quads stay as they are.
 
-    No triangle is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
+    The corners of quads count as triangles do, and aim at the corner of a square.
+
+    No triangle or quad is ever inverted.  A mesh that has inverted triangles comes back unmoved, with
     `Status.INVERTED`, one with a position that is not finite, or beyond 1e150, with `Status.NOT_FINITE`, and one for
     which no curves to slide along can be made with `Status.FAILED`.
 
@@ -127,7 +130,8 @@ def smooth(
              vertices; has no effect with curves
     """
     options = options or SmoothOptions()
-    given, unfit = batch, unfit_meshes(batch)
+    given, batch = batch, halved(batch)
+    unfit = unfit_meshes(batch)
     refused = segment_any(~upright(batch), batch.triangle_offsets) | unfit
     failed = torch.zeros_like(refused)
     if curves is None and options.slides:
@@ -143,6 +147,8 @@ def smooth(
     may_move = ~stays & ~spread(refused, batch.point_offsets)
     if free is not None:
         may_move &= free
+    # Curves have been told by the connectivity of halves; from here on quads are their corners.
+    batch = sampled(batch)
     single = options.single and curves is None and options.targets is None
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
     objective = _objective(batch, packing, options)
@@ -166,7 +172,7 @@ def smooth(
         moved = batch.with_points(torch.where(back, batch.points, moved.points))
         if curves is not None:
             curves = curves.put(worse, slide.curves.select(worse))
-    moved = released(moved, given)
+    moved = released(moved if moved.triangles is given.triangles else given.with_points(moved.points), given)
     return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, curves)
 
 
@@ -174,7 +180,7 @@ def _objective(batch: MeshBatch, packing: Packing, options: SmoothOptions) -> Me
     """The energy of the options over the packed batch, with its targets if it has any."""
     objective = MeshObjective(
         options.energy,
-        equilateral(),
+        select_rows(ideal(batch), packing.triangles),
         packing.rows,
         packing.anchored,
         packing.block_offsets,

@@ -14,6 +14,7 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch, put
 from ..mesh.connectivity import heads, tails
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
+from ..mesh.quads import diagonals, sampled
 from ..mesh.ragged import segment_count, segment_sum, spread
 from ..mesh.triangle import corners, signed_area
 from ..mesh.units import centre_and_unit
@@ -100,6 +101,10 @@ class _Averaging:
         self.centre, self.unit = spread(centre, batch.point_offsets), spread(unit, batch.point_offsets)[:, None]
         # The triangles around a free vertex close: each neighbour is the head of exactly one half-edge from it.
         tail, head = tails(batch.triangles), heads(batch.triangles)
+        if len(batch.quads):
+            # The diagonal of a quad, last in both of its halves, makes no neighbours.
+            sides = ~diagonals(batch)
+            tail, head = tail[sides], head[sides]
         valence = torch.bincount(tail, minlength=count).clamp_min(1).to(torch.float64).repeat(2)
         matrix = _ValenceLaplacian(tail, head, valence, batch.fixed.repeat(2))
         self.systems = Systems(matrix, valence, torch.cat([batch.point_offsets, batch.point_offsets[1:] + count]))
@@ -116,10 +121,11 @@ class _Averaging:
         return one + other
 
     def tangle(self) -> Tensor:
-        """(B, 2) the area of the inverted triangles, and the number of inverted or flat triangles."""
-        area = signed_area(corners(self.now.x.reshape(2, -1).T, self.batch.triangles))
-        folded = segment_sum((-area).clamp_min(0), self.batch.triangle_offsets)
-        return torch.stack([folded, segment_count(area <= 0, self.batch.triangle_offsets).to(folded)], 1)
+        """(B, 2) the area of the inverted triangles or corners of quads, and the number of inverted or flat ones."""
+        batch = sampled(self.batch)
+        area = signed_area(corners(self.now.x.reshape(2, -1).T, batch.triangles))
+        folded = segment_sum((-area).clamp_min(0), batch.triangle_offsets)
+        return torch.stack([folded, segment_count(area <= 0, batch.triangle_offsets).to(folded)], 1)
 
     def moved(self) -> MeshBatch:
         """The meshes as they are now."""

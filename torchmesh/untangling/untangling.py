@@ -11,12 +11,14 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import holding, released
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
+from ..mesh.quads import inverted_quads, quad_mesh, sampled
 from ..mesh.ragged import segment_any, segment_count, segment_sum, spread
 from ..mesh.triangle import Corners, corners, signed_area
 from ..mesh.unfit import unfit_meshes
-from ..optimising.jacobian import Target, equilateral, target_of
+from ..optimising.jacobian import Target, target_of
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import pack
+from ..optimising.targets import ideal
 from ..status import Status
 from .beta import untangle_beta
 from .continuation import try_regularised
@@ -33,7 +35,7 @@ def untangle(
     free: Tensor | None = None,
     monitor: Monitor | None = None,
 ) -> tuple[MeshBatch, MoveInfo]:
-    """Move the free vertices until every triangle is upright, where that is possible with these triangles.
+    """Move the free vertices until every triangle and quad is upright, where that is possible with these.
 
     A mesh without inverted triangles comes back unmoved.  `info.status` is `Status.VALID` for every mesh that ends
     valid.  Of each other mesh the try with the fewest inverted triangles comes back.  A mesh with a position that is
@@ -50,14 +52,17 @@ def untangle(
     options = options or UntangleOptions()
     if reference is not None:
         check_reference(batch, reference)
-    given, batch, unfit = batch, holding(batch, options.interfaces), unfit_meshes(batch)
+    # Quads are their corners: what moves is the same, and every gate below is exact for them.
+    given, batch = batch, sampled(batch)
+    reference = None if reference is None else sampled(reference)
+    batch, unfit = holding(batch, options.interfaces), unfit_meshes(batch)
     tangled = segment_any(~upright(batch), batch.triangle_offsets) & ~unfit
     may_move = ~batch.fixed & spread(tangled, batch.point_offsets)
     if free is not None:
         may_move &= free
     if options.method == "beta":
         moved, info = untangle_beta(batch, may_move, options, monitor)
-        return released(moved, given), _refused(info, unfit)
+        return _as_given(moved, given), _refused(info, unfit)
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
     target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
     moved, info = try_regularised(batch, packing, target, size, options, monitor, settle=reference is not None)
@@ -73,7 +78,12 @@ def untangle(
         now = moved.select(again)
         moved = put(moved, again, put(now, fewer, tried.select(fewer)) if bool(fewer.any()) else now)
         info = _merged(info, again, its, fewer)
-    return released(moved, given), _refused(info, unfit)
+    return _as_given(moved, given), _refused(info, unfit)
+
+
+def _as_given(moved: MeshBatch, given: MeshBatch) -> MeshBatch:
+    """`moved` with quads, and what is fixed, as in the batch `given`."""
+    return released(moved if moved.triangles is given.triangles else given.with_points(moved.points), given)
 
 
 def _refused(info: MoveInfo, unfit: Tensor) -> MoveInfo:
@@ -91,6 +101,7 @@ def check_reference(batch: MeshBatch, reference: MeshBatch) -> None:
             f"{len(reference.triangles)} triangles, not the batch's {len(batch)}, {len(batch.points)} and "
             f"{len(batch.triangles)}, mesh by mesh"
         )
+    _check_quads(batch, reference)
     for problem, rows in (
         (
             "is another triangle than the batch's: order and corners must be the same",
@@ -104,6 +115,25 @@ def check_reference(batch: MeshBatch, reference: MeshBatch) -> None:
             b = int(triangle_mesh(batch)[row])
             row -= int(batch.triangle_offsets[b])
             raise InvalidMeshError(f"mesh {b}: triangles row {row} {problem}")
+
+
+def _check_quads(batch: MeshBatch, reference: MeshBatch) -> None:
+    """Raise InvalidMeshError, naming mesh and row, unless `reference` has the quads of `batch`, all upright."""
+    if batch.quads.shape != reference.quads.shape or not torch.equal(batch.quad_offsets, reference.quad_offsets):
+        raise InvalidMeshError(f"the reference has {len(reference.quads)} quads, the batch {len(batch.quads)}")
+    if not len(batch.quads):
+        return
+    for problem, bad in (
+        (
+            "is another quad than the batch's: order and corners must be the same",
+            (reference.quads != batch.quads).any(1),
+        ),
+        ("is inverted in the reference, which must be a valid mesh", inverted_quads(reference.points, reference.quads)),
+    ):
+        if bool(bad.any()):
+            row = int(bad.nonzero()[0])
+            b = int(quad_mesh(batch)[row])
+            raise InvalidMeshError(f"mesh {b}: quads row {row - int(batch.quad_offsets[b])} {problem}")
 
 
 def _inverted(batch: MeshBatch) -> Tensor:
@@ -124,7 +154,7 @@ def _merged(info: MoveInfo, at: Tensor, part: MoveInfo, better: Tensor) -> MoveI
 def _local_target(batch: MeshBatch, sweeps: int) -> tuple[Target, Tensor]:
     """Equilateral targets (T,) of local size, and that size (V,), in the batch's unit."""
     size = local_size(batch, sweeps)
-    return equilateral(size[batch.triangles].mean(1)), size
+    return ideal(batch, size[batch.triangles].mean(1)), size
 
 
 def _own_target(batch: MeshBatch, reference: MeshBatch) -> tuple[Target, Tensor]:

@@ -10,6 +10,7 @@ from torch import Tensor
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
+from ..mesh.quads import HALVES, quads_as_halves, sampled, spread_to_halves, worst_of_samples
 from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread
 from ..mesh.triangle import corners
 from ..mesh.units import centre_and_unit
@@ -20,8 +21,9 @@ _RIGID = 0.25
 
 
 @without_autograd
+@quads_as_halves
 def largest_step(batch: MeshBatch, new_points: Tensor) -> Tensor:
-    """(B,) the part of the straight way to `new_points` on which no triangle of a mesh inverts.
+    """(B,) the part of the straight way to `new_points` on which no triangle or quad of a mesh inverts.
 
     On the way p + t (new - p) the area of a triangle is a quadratic in t.  The result is the least positive root over
     the triangles of the mesh: infinity if there is none, and 0 for a mesh that is tangled already.  More than 1 means
@@ -36,7 +38,13 @@ def largest_step(batch: MeshBatch, new_points: Tensor) -> Tensor:
 
 
 def first_flat(batch: MeshBatch, target: Tensor) -> Tensor:
-    """(T,) the t at which each triangle is first flat on the straight way to `target` (V, 2); infinity for never."""
+    """(T,) the t at which each triangle is first flat on the straight way to `target` (V, 2); infinity for never.
+
+    A triangle that stands for a quad has the least t of the quad's corners.
+    """
+    if batch.rows_per_quad == HALVES:
+        least = worst_of_samples(batch, -first_flat(sampled(batch), target))
+        return -spread_to_halves(batch, *least)
     centre, unit = centre_and_unit(batch.points, batch.point_offsets)
     # Dividing by a power of two changes no root, and keeps every product within the range of numbers.
     scale = spread(unit, batch.point_offsets)[:, None]

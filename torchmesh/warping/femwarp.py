@@ -10,6 +10,7 @@ from ..mesh.batch import MeshBatch, put
 from ..mesh.detached import detached, without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
+from ..mesh.quads import sampled
 from ..mesh.ragged import segment_any
 from ..mesh.triangle import corners
 from ..mesh.unfit import unfit_meshes, what_is_unfit
@@ -26,6 +27,7 @@ def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None)
                 `batch`
     hold        (V,) bool, further vertices whose rows count, such as those of an interface whose motion is known
 
+    Quads count with the mean of the stiffnesses of their two splittings into triangles (`stiffness`).
     Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held.
     Each interior vertex stays the same weighted mean of its neighbours, with the P1
     stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
@@ -49,8 +51,22 @@ def _warp_system(batch: MeshBatch, new_points: Tensor, hold: Tensor | None) -> t
     """The factorised system of the warp, and (V, 2) the fixed vertices at their goal, the others where they are."""
     fixed = with_held(batch, hold).fixed
     target = boundary_goal(replace(batch, fixed=fixed), new_points, "femwarp")
-    weights = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
-    return ExtensionSystem(batch.triangles, weights, fixed, batch.point_offsets), target
+    triangles, weights = stiffness(batch)
+    return ExtensionSystem(triangles, weights, fixed, batch.point_offsets), target
+
+
+def stiffness(batch: MeshBatch) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+    """The triangles (T, 3) of linear elements and the weights (T,) of their edges, as `harmonic_extension` has them.
+
+    The stiffness of a quad is the mean of those of its two splittings into triangles: half of each of its four corner
+    triangles.  Each splitting reproduces linear functions, and so does their mean; it does not prefer a diagonal.
+    """
+    if not len(batch.quads):
+        return batch.triangles, cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
+    batch = sampled(batch)
+    at_a, at_b, at_c = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
+    share = torch.where(batch.of_quads, 0.5, 1.0).to(at_a)
+    return batch.triangles, (share * at_a, share * at_b, share * at_c)
 
 
 def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:
@@ -108,6 +124,8 @@ def what_is_unfit_goal(batch: MeshBatch, target: Tensor, b: int) -> str:
 def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatch:
     """Move every free vertex to the mean of its neighbours, wherever it was.
 
+    The neighbours are those along edges of triangles and quads, not across quads.
+
     interfaces  "free": the ends of constrained edges move, too; otherwise they stay
 
     With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
@@ -117,7 +135,13 @@ def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatc
     unfit = unfit_meshes(batch)
     if bool(unfit.any()):
         return batch if bool(unfit.all()) else put(batch, ~unfit, relax(batch.select(~unfit), interfaces=interfaces))
+    given, batch = batch, sampled(batch)
     one = torch.ones(len(batch.triangles), dtype=torch.float64, device=batch.points.device)
+    weights = (one, one, one)
+    if len(batch.quads):
+        # Each edge of a quad is in two of its corners, and its diagonals make no neighbours.
+        side = torch.where(batch.of_quads, 0.5, 1.0).to(one)
+        weights = torch.where(batch.of_quads, 0.0, 1.0).to(one), side, side
     fixed = holding(batch, interfaces).fixed
-    points = harmonic_extension(batch.triangles, (one, one, one), fixed, batch.points, batch.point_offsets)
-    return batch.with_points(points)
+    points = harmonic_extension(batch.triangles, weights, fixed, batch.points, batch.point_offsets)
+    return given.with_points(points)

@@ -5,12 +5,14 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
+from ..mesh.quads import quads_as_halves
 from ..mesh.ragged import segment_max
 from ..mesh.triangle import corners, edge_lengths, signed_area
 from .femwarp import femwarp
 
 
 @without_autograd
+@quads_as_halves
 def courant_step(batch: MeshBatch, new_points: Tensor, courant: float = 1.0, *, hold: Tensor | None = None) -> Tensor:
     """(B,) the part of the motion in which no vertex goes further than `courant` heights of the triangles at it.
 

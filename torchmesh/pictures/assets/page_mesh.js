@@ -26,12 +26,12 @@ function unpack(header, bytes) {
   };
   const stages = [];
   let last = {};
-  for (const { vertices, triangles, name, label } of header.stages) {
+  for (const { vertices, triangles, quads, name, label } of header.stages) {
     const grid = take(Uint32Array, 2 * vertices, last.grid);
     const corners = take(Uint32Array, 3 * triangles, last.corners);
     const codes = take(Uint16Array, triangles, last.codes);
     const flags = take(Uint8Array, (triangles + 7) >> 3, last.flags);
-    last = { name, label, grid, corners, codes, flags, count: triangles };
+    last = { name, label, grid, corners, codes, flags, count: triangles, whole: triangles - 2 * (quads || 0) };
     stages.push(last);
   }
   return stages;
@@ -49,12 +49,14 @@ function prepare(stage) {
   for (let t = 0; t < count; t++) {
     for (let k = 0; k < 3; k++) {
       const u = corners[3 * t + k], v = corners[3 * t + ((k + 1) % 3)];
-      keys[3 * t + k] = Math.min(u, v) * vertices + Math.max(u, v);
+      // The last edge of a half of a quad is the quad's diagonal, which is no edge of the mesh.
+      const diagonal = t >= stage.whole && k === 2;
+      keys[3 * t + k] = diagonal ? Infinity : Math.min(u, v) * vertices + Math.max(u, v);
     }
   }
   keys.sort();
   const inner = [], boundary = [];
-  for (let i = 0; i < keys.length; ) {
+  for (let i = 0; i < keys.length && keys[i] < Infinity; ) {
     let j = i + 1;
     while (j < keys.length && keys[j] === keys[i]) j++;
     (j - i === 1 ? boundary : inner).push(Math.floor(keys[i] / vertices), keys[i] % vertices);

@@ -1,0 +1,68 @@
+"""The quads of a mesh file: their rows, and which of their edges lie between regions.
+
+A tag with one value on all triangles and another on all quads says no more than which is which, as the blocks of Exodus
+and the sets of one `*ELEMENT` card each do: no vertex is held for that.
+"""
+
+import meshio
+import numpy as np
+
+from .fields import Regions
+
+
+def quads_of(mesh: meshio.Mesh, repeats: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(R, 4) the quad rows of all blocks in file order, (Q,) the first row of each quad, and (R,) the quad of each row.
+
+    repeats  whether the file may list an element once for each of its groups
+    """
+    blocks = [b.data for b in mesh.cells if b.type == "quad" and len(b.data)]
+    rows = np.concatenate([np.zeros((0, 4), np.int64), *blocks])
+    if not repeats or not len(rows):
+        return rows, np.arange(len(rows)), np.arange(len(rows))
+    _, first, quad = np.unique(np.sort(rows, 1), axis=0, return_index=True, return_inverse=True)
+    order = first.argsort()
+    return rows, first[order], order.argsort()[quad.reshape(-1)]
+
+
+def on_quads(mesh: meshio.Mesh, values: list[np.ndarray]) -> np.ndarray:
+    """The part of cell data, given block by block, that belongs to quads: (R, ...) in file order."""
+    parts = [v for b, v in zip(mesh.cells, values, strict=True) if b.type == "quad" and len(b.data)]
+    return np.concatenate(parts) if parts else np.asarray(values[0])[:0] if values else np.zeros(0)
+
+
+def sides_of(cells: np.ndarray) -> np.ndarray:
+    """(kN, 2) the edges of each triangle or quad (N, k), the lower vertex first."""
+    return np.sort(np.stack([cells, np.roll(cells, -1, 1)], 2).reshape(-1, 2), 1)
+
+
+def interfaces_of_quads(
+    mesh: meshio.Mesh, triangles: tuple[np.ndarray, np.ndarray], quads: tuple[np.ndarray, np.ndarray], told: Regions
+) -> np.ndarray:
+    """(K, 2) the edges of quads that lie between regions, the lower vertex first.
+
+    triangles, quads  the elements (N, k), and the row (N,) of the file that each is first in
+    """
+    if not len(quads[0]):
+        return np.zeros((0, 2), np.int64)
+    from .fields import on_triangles
+
+    columns = [mesh.cell_data[name] for name in told.data]
+    for name in told.sets:
+        columns.append(
+            [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, mesh.cell_sets[name], strict=True)]
+        )
+    code = np.zeros(len(triangles[0]) + len(quads[0]), np.int64)
+    for column in columns:
+        parts = on_triangles(mesh, column)[triangles[1]], on_quads(mesh, column)[quads[1]]
+        if all(len(np.unique(part)) < 2 for part in parts):
+            continue
+        values, rank = np.unique(np.concatenate(parts), return_inverse=True)
+        code = np.unique(code * len(values) + rank.reshape(-1), return_inverse=True)[1].reshape(-1)
+    edges = np.concatenate([sides_of(triangles[0]), sides_of(quads[0])])
+    side = np.concatenate([np.repeat(code[: len(triangles[0])], 3), np.repeat(code[len(triangles[0]) :], 4)])
+    of_quad = np.arange(len(edges)) >= 3 * len(triangles[0])
+    keys = edges[:, 0] * (int(edges.max()) + 1) + edges[:, 1]
+    order = keys.argsort(kind="stable")
+    one, two = order[:-1], order[1:]
+    differ = (keys[one] == keys[two]) & (side[one] != side[two]) & (of_quad[one] | of_quad[two])
+    return edges[one[differ]]
