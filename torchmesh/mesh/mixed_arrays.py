@@ -15,6 +15,7 @@ from .validation import (
     checked_points,
     checked_positions,
     checked_triangles,
+    seen_from_above,
     to_plane,
 )
 from .winding import oriented
@@ -40,13 +41,15 @@ def mixed_columns(points: Any, triangles: Any, fixed: Any, constrained_edges: An
     halves = torch.cat([faces, halves_of(rows)])
     xyz = checked_positions(xyz, halves)
     flat, frame = to_plane(xyz, halves)
-    wound, turned = _wound(flat, halves)
+    seen = seen_from_above(flat, halves, frame)
+    wound, turned = _wound(flat, halves, seen)
+    against = turned if seen is halves else ~turned
     faces, rows = wound[: len(faces)], torch.where(turned[len(faces) :: 2][:, None], rows[:, [0, 3, 2, 1]], rows)
     halves = torch.cat([faces, halves_of(rows)])
-    number = int(turned[: len(faces)].sum()) + int(turned[len(faces) :: 2].sum())
+    number = int(against[: len(faces)].sum()) + int(against[len(faces) :: 2].sum())
     if number:
         text = f"{number} of {len(faces) + len(rows)} triangles and quads were wound against the others"
-        text = "all triangles and quads were wound clockwise" if bool(turned.all()) else text
+        text = "all triangles and quads were wound clockwise" if bool(against.all()) else text
         warnings.warn(MeshWarning(f"{text}; they were turned"), stacklevel=3)
     twin = connectivity.twins(halves)
     used = torch.zeros(count, dtype=torch.bool, device=flat.device)
@@ -86,11 +89,11 @@ def checked_quads(quads: Any, vertices: int) -> Tensor:
     return rows
 
 
-def _wound(flat: Tensor, halves: Tensor) -> tuple[Tensor, Tensor]:
-    """The triangles with consistent winding, and (N,) bool which of them were turned."""
+def _wound(flat: Tensor, halves: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+    """The triangles, which are `seen` like this, with consistent winding, and (N,) bool which of them were turned."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeshWarning)
-        wound, _ = oriented(flat, halves)
+        wound, _ = oriented(flat, seen)
     return wound, (wound != halves).any(1)
 
 
