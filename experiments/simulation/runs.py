@@ -30,20 +30,38 @@ class Run:
     dead: int | None = None
 
 
+# Takes a mesh, the number of the step that begins and the number of all steps to where its body is after it.
+Motion = Callable[[tm.MeshBatch, int, int], torch.Tensor]
+
+
+def there_and_back(mesh: tm.MeshBatch, k: int, steps: int) -> torch.Tensor:
+    """(V, 2) the positions where the disc of the channel has gone a step further."""
+    goal = mesh.points.clone()
+    shift = TRAVEL * (1 - abs(1 - 2 * k / steps)) - TRAVEL * (1 - abs(1 - 2 * (k - 1) / steps))
+    goal[on_disc(mesh), 0] += shift
+    return goal
+
+
 def simulated(
-    mesh: tm.MeshBatch, way: Way, method: Method, steps: int, frame: Callable[[Run], None] | None = None
+    mesh: tm.MeshBatch,
+    way: Way,
+    method: Method,
+    steps: int,
+    frame: Callable[[Run], None] | None = None,
+    motion: Motion = there_and_back,
+    hot: tuple[float, float, float] = (2.2, 1.2, 0.2),
 ) -> Run:
-    """The simulation by one way; it ends early if a triangle inverts."""
-    u = torch.exp(-((mesh.points - torch.tensor([2.2, 1.2])) ** 2).sum(1) / 0.2)
+    """The simulation by one way; it ends early if a triangle inverts.
+
+    motion  how the body moves
+    hot     x and y of the middle of the heat at the start, and the square of its width
+    """
+    u = torch.exp(-((mesh.points - torch.tensor(hot[:2])) ** 2).sum(1) / hot[2])
     begun = heat.heat(mesh, u)
     run = Run(mesh, u)
     for k in range(1, steps + 1):
         clock = time.process_time()
-        goal = run.mesh.points.clone()
-        disc = on_disc(run.mesh)
-        shift = TRAVEL * (1 - abs(1 - 2 * k / steps)) - TRAVEL * (1 - abs(1 - 2 * (k - 1) / steps))
-        goal[disc, 0] += shift
-        pieces, after = way(run.mesh, goal)
+        pieces, after = way(run.mesh, motion(run.mesh, k, steps))
         run.meshing.append(time.process_time() - clock)
         run.solving.append(0.0)
         if int(tm.quality(after).inverted[0]):

@@ -14,7 +14,7 @@ from torchmesh.mesh.boundary_parts import boundary_parts
 from torchmesh.transferring.transfer import Method
 
 RADIUS, LENGTH, HEIGHT = 0.25, 6.0, 2.0
-BOUND = tm.Bound(angle=15.0)
+BOUND = tm.Bound(angle=10.0)
 
 # What a way does in a step: the pieces (mesh to transfer from or None, before, after, part of the step), and the mesh.
 Piece = tuple["tm.MeshBatch | None", tm.MeshBatch, tm.MeshBatch, float]

@@ -14,7 +14,11 @@ SCRIPTS = sorted(
     if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
 )
 PAGES = [*ROOT.glob("*.md"), *FOLDER.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-NEEDS = {"experiments.quality.poisson": "skfem", "experiments.simulation.channel": "skfem"}
+NEEDS = {
+    "experiments.quality.poisson": "skfem",
+    "experiments.simulation.airfoil": "skfem",
+    "experiments.simulation.channel": "skfem",
+}
 
 
 def test_there_are_scripts_in_every_group():

@@ -9,6 +9,7 @@ the rows of some meshes are taken out of it when a stage asks for them.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import torch
@@ -152,7 +153,7 @@ class State:
         """(B,) bool: no triangle of the mesh is inverted."""
         return self.quality.inverted == 0
 
-    @property
+    @cached_property
     def judged(self) -> Quality:
         """The quality by which it is decided what to do: that of the triangles that something can change.
 
@@ -168,7 +169,7 @@ class State:
         mean = torch.where(left > 0, mean, 1.0)
         return replace(q, inverse_mean_ratio=ratio, mean=mean, max=segment_max(ratio, offsets))
 
-    @property
+    @cached_property
     def unchangeable(self) -> Tensor | None:
         """(T,) bool, the triangles of layers that are held, and those that are frozen; None: there are none."""
         out = None

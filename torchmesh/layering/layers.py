@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch, constrained_half_edges
-from ..mesh.connectivity import boundary_edges, keys_of, next_in_triangle, previous_in_triangle
+from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
 from ..mesh.measure import upright
 
 
@@ -73,7 +73,7 @@ class Layers:
         return len(self.wall)
 
     def select(self, keep: Tensor) -> "Layers":
-        """The quadrilaterals whose `keep` (N,) bool is true."""
+        """The quadrilaterals whose `keep` (N,) bool is true, or those of the rows `keep` (M,) int64."""
         return Layers(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     def vertices(self, count: int) -> Tensor:
@@ -159,7 +159,7 @@ class _Walk:
         self.points = batch.points.to(torch.float64)
         self.twin = batch.twin
         # Half-edge 3 t + k runs from corner k of triangle t to the next one.
-        self.tail = batch.triangles.reshape(-1)
+        self.tail, self.head = tails(batch.triangles), heads(batch.triangles)
         self.blocked = self.twin < 0
         if len(batch.constrained_edges):
             self.blocked = self.blocked | constrained_half_edges(batch)
@@ -176,62 +176,57 @@ class _Walk:
         low = _cross(q - p, apex - p) <= 2 * self.options.first * self.length * self.length
         self.front, self.wall, self.length, self.below = (v[low] for v in (h, self.wall, self.length, self.below))
 
-    def head(self, h: Tensor) -> Tensor:
-        """The vertices at which the half-edges h end."""
-        return self.tail[next_in_triangle(h)]
-
     def _length(self, h: Tensor) -> Tensor:
-        return (self.points[self.head(h)] - self.points[self.tail[h]]).norm(dim=1)
+        return (self.points[self.head[h]] - self.points[self.tail[h]]).norm(dim=1)
 
     def next_row(self, row: int) -> Layers:
         """The quadrilaterals on the front, each of the better of the two pairs of triangles that it may be."""
-        options = [self._quadrilaterals(row, falling) for falling in (True, False)]
-        (first, good, lean), (second, other_good, other_lean) = options
-        take_second = other_good & (~good | (other_lean < lean))
-        columns = {
-            f.name: torch.where(
-                take_second.reshape(-1, *[1] * (getattr(first, f.name).dim() - 1)),
-                getattr(second, f.name),
-                getattr(first, f.name),
-            )
-            for f in fields(Layers)
-        }
-        quads, good = Layers(**columns), good | other_good
+        quads, good, lean = self._quadrilaterals(row)
+        count = len(self.front)
+        falls, rises = good[:count], good[count:]
+        take_second = rises & (~falls | (lean[count:] < lean[:count]))
+        some = falls | rises
+        # Row k of the second half is the other choice for row k.
+        chosen = (torch.arange(count, device=some.device) + count * take_second)[some]
+        quads = quads.select(chosen)
         # Of two strips that meet, neither goes on into what both claim.
-        claims = torch.bincount(quads.triangles[good].reshape(-1), minlength=len(self.free))
-        good = good & (claims[quads.triangles] == 1).all(1)
-        return quads.select(good)
+        claims = torch.bincount(quads.triangles.reshape(-1), minlength=len(self.free))
+        return quads.select((claims[quads.triangles] == 1).all(1))
 
-    def _quadrilaterals(self, row: int, falling: bool) -> tuple[Layers, Tensor, Tensor]:
-        """The quadrilaterals whose diagonal falls to the right or rises, whether they will do, and their lean, (S,)."""
-        h = self.front
+    def _quadrilaterals(self, row: int) -> tuple[Layers, Tensor, Tensor]:
+        """The quadrilaterals on the front, whether they will do, and their lean, (2 S,).
+
+        The diagonals of the first S fall to the right, those of the others rise.
+        """
+        h, count = self.front, len(self.front)
         onward, back = next_in_triangle(h), previous_in_triangle(h)
-        diagonal = onward if falling else back
+        diagonal = torch.cat([onward, back])
         across = self.twin[diagonal]
         there = across.clamp_min(0)
-        u, w = self.tail[h], self.head(h)
-        apex, far = self.head(onward), self.head(next_in_triangle(there))
-        upper_left, upper_right = (apex, far) if falling else (far, apex)
-        pair = torch.stack([h // 3, there // 3], 1)
-        ends = torch.stack([self.tail[diagonal], self.head(diagonal)], 1)
-        p, q, r, s = (self.points[v] for v in (u, w, upper_right, upper_left))
+        u, w, apex = self.tail[h], self.head[h], self.head[onward]
+        far = self.head[next_in_triangle(there)]
+        corners = torch.stack(
+            [torch.cat([u, u]), torch.cat([w, w]), torch.cat([far[:count], apex]), torch.cat([apex, far[count:]])], 1
+        )
+        pair = torch.stack([torch.cat([h, h]) // 3, there // 3], 1)
+        ends = torch.stack([self.tail[diagonal], self.head[diagonal]], 1)
+        p, q, r, s = self.points[corners].unbind(1)
         lower, upper, left, right = q - p, r - s, s - p, r - q
-        a, b = lower.norm(dim=1), upper.norm(dim=1)
+        a, b, at_left, at_right = torch.stack([lower, upper, left, right]).norm(dim=2).unbind(0)
         area = 0.5 * _cross(r - p, s - q)
         height = area / (0.5 * (a + b))
-        column = torch.maximum(left.norm(dim=1), right.norm(dim=1))
+        column = torch.maximum(at_left, at_right)
         o = self.options
-        limit = (o.first if row == 1 else o.height) * self.length
+        limit = ((o.first if row == 1 else o.height) * self.length).repeat(2)
         good = ~self.blocked[diagonal] & (across >= 0) & self.free[pair].all(1)
         good &= (height > 0) & (height <= limit) & (column <= o.lean * height)
         good &= (lower * upper).sum(1) >= o.turn * a * b
         if row == 1:
-            good &= column <= o.alike * torch.minimum(left.norm(dim=1), right.norm(dim=1))
+            good &= column <= o.alike * torch.minimum(at_left, at_right)
         else:
-            good &= height >= o.shrink * self.below
-        rows = torch.full_like(h, row)
-        quads = Layers(self.wall, rows, torch.stack([u, w, upper_right, upper_left], 1), ends, pair, height)
-        return quads, good, column
+            good &= height >= o.shrink * self.below.repeat(2)
+        wall = self.wall.repeat(2)
+        return Layers(wall, torch.full_like(wall, row), corners, ends, pair, height), good, column
 
     def go_on(self, quads: Layers) -> None:
         """The strips that have a quadrilateral in this row go on above it; the others end."""
@@ -240,7 +235,7 @@ class _Walk:
         self.wall, self.length, self.below = quads.wall, self.length[order], quads.height
         # The upper edge is in the second triangle, from right to left.
         top = 3 * quads.triangles[:, 1:] + torch.arange(3, device=self.wall.device)
-        is_top = (self.tail[top] == quads.corners[:, 2:3]) & (self.head(top) == quads.corners[:, 3:])
+        is_top = (self.tail[top] == quads.corners[:, 2:3]) & (self.head[top] == quads.corners[:, 3:])
         top = top[is_top]
         # At another wall, and at one side of an interface, the layer ends.
         on = ~self.blocked[top]
