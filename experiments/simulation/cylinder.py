@@ -24,13 +24,14 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared import arguments, clocks, gmsh_mesher, tables
+from experiments.shared import arguments, clocks, tables
+from experiments.simulation.pictures import draw_forces
+from torchmesh.bench.methods import gmsh_mesher
 from torchmesh.mesh.boundary_parts import boundary_parts
 
 STROKE, PERIOD = 1.5, 6.0
@@ -143,28 +144,6 @@ def row_of(name: str, run: Run, reference: Run, first: int) -> list[str]:
     ]  # fmt: skip
 
 
-def draw(runs: dict[str, Run], dt: float, out: Path) -> None:
-    """Drag and lift over time."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
-    axes[0].set_title("Flow past a cylinder that oscillates across the stream, Reynolds number 100")
-    for (name, run), (line, colour) in zip(
-        runs.items(), (("-", "#000000"), ("--", "#0072B2"), (":", "#D55E00")), strict=False
-    ):
-        times = dt * np.arange(1, len(run.drag) + 1)
-        axes[0].plot(times, run.drag, linestyle=line, color=colour, label=name)
-        axes[1].plot(times, run.lift, linestyle=line, color=colour)
-    for axis, label in zip(axes, ("drag coefficient", "lift coefficient"), strict=True):
-        axis.set_ylabel(label)
-        axis.grid(alpha=0.3)
-    axes[1].set_xlabel("time, diameters over the speed of the stream")
-    axes[0].set_ylim(0, 2 * max(np.median(run.drag) for run in runs.values()))
-    figure.legend(loc="outside right center")
-    figure.savefig(out / "cylinder.png", dpi=110)
-    plt.close(figure)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     parser = arguments.parser(__doc__)
     parser.add_argument("--size", type=float, default=0.1, help="length of edges at the cylinder, in diameters")
@@ -194,7 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     ]
     first = args.steps if args.periods > 1 else 0
     print(tables.table(head, [row_of(name, run, runs["at rest"], first) for name, run in runs.items()]))
-    draw(runs, dt, args.out)
+    draw_forces({name: (run.drag, run.lift) for name, run in runs.items()}, dt, args.out)
     return 0
 
 

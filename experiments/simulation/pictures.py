@@ -1,4 +1,4 @@
-"""Plots and a film of the simulation in the channel."""
+"""Plots of the simulations, and a film of the one in the channel."""
 
 from __future__ import annotations
 
@@ -40,6 +40,28 @@ def draw(runs: dict[str, Run], out: Path) -> None:
     axes[2].set_xlabel("step")
     figure.legend(loc="outside right center", fontsize=8)
     figure.savefig(out / "channel.png", dpi=110)
+    plt.close(figure)
+
+
+def draw_forces(runs: dict[str, tuple[list[float], list[float]]], dt: float, out: Path) -> None:
+    """Drag and lift of the cylinder over time, for each run."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
+    axes[0].set_title("Flow past a cylinder that oscillates across the stream, Reynolds number 100")
+    for (name, (drag, lift)), (line, colour) in zip(
+        runs.items(), (("-", "#000000"), ("--", "#0072B2"), (":", "#D55E00")), strict=False
+    ):
+        times = dt * np.arange(1, len(drag) + 1)
+        axes[0].plot(times, drag, linestyle=line, color=colour, label=name)
+        axes[1].plot(times, lift, linestyle=line, color=colour)
+    for axis, label in zip(axes, ("drag coefficient", "lift coefficient"), strict=True):
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    axes[1].set_xlabel("time, diameters over the speed of the stream")
+    axes[0].set_ylim(0, 2 * max(np.median(drag) for drag, _ in runs.values()))
+    figure.legend(loc="outside right center")
+    figure.savefig(out / "cylinder.png", dpi=110)
     plt.close(figure)
 
 
