@@ -22,7 +22,8 @@ ALLOWED = {
     "optimising": "mesh kernels errors status",
     "triangulating": "mesh kernels errors status",
     "transferring": "optimising triangulating mesh kernels errors status",
-    "files": "transferring mesh errors status",
+    "curving": "mesh kernels errors status",
+    "files": "curving transferring mesh errors status",
     "layering": "mesh errors status",
     "flipping": "optimising mesh kernels errors status",
     "untangling": "optimising triangulating mesh errors status",
@@ -34,7 +35,7 @@ ALLOWED = {
     "learning": "improving remeshing smoothing flipping untangling warping diagnosing optimising triangulating files "
     "mesh errors status",
     "pictures": "improving files mesh errors status",
-    "batches": "pictures learning improving remeshing smoothing files mesh errors status",
+    "batches": "pictures learning improving remeshing smoothing files curving mesh errors status",
     "bench": "learning improving smoothing warping triangulating files mesh kernels errors status",
     "commands": "bench batches pictures learning improving remeshing smoothing flipping untangling warping diagnosing "
     "optimising triangulating files mesh kernels errors status",

@@ -153,6 +153,11 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     shown = rows.start + (failed[0] if failed else 0)
     many = f"mesh {failed[0]} of {len(improved.meshes)}: " if failed and len(improved.meshes) > 1 else ""
     facts["message"] = many + report.messages[shown]
+    curved = improved.curved
+    if curved is not None:
+        facts["inverted_after"] = curved.all_inverted
+        if curved.inverted:
+            facts["message"] += f"; {curved.inverted:,} six-node triangles are inverted"
     target = Path(job.output)
     # A process number alone is not unique, because the machines of a cluster may share the folder.
     folder = Path(job.staging) / f"{socket.gethostname()}-{os.getpid()}"
@@ -170,7 +175,7 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
         file=job.file,
         output=job.output,
         status=Status(int(report.status[shown])).name.lower(),
-        valid=not failed,
+        valid=not (failed if curved is None else curved.all_inverted),
         seconds=opened.seconds + time.perf_counter() - started,
         **facts,
     )

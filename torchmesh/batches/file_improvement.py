@@ -15,8 +15,10 @@ from functools import partial
 
 import torch
 
+from ..files.curved import replaced
 from ..files.field_transfer import FieldChoice, FieldSummary, check_choice
 from ..files.mesh_files import held
+from ..files.placed import CurvedSummary, Placed
 from ..files.surface import HeightChoice, check_height
 from ..files.time_series import Series, SeriesDraft, draft_series, read_series
 from ..improving.options import ImproveOptions
@@ -47,6 +49,7 @@ class ImprovedFile:
     vertex_maps  (M,) where the vertices of each mesh come from; None where vertices keep number and order
     fields       what `write` does with the fields of the file
     height       what it does with the heights of a surface
+    placed       (M,) the meshes with their mid-side nodes, of a file with six-node triangles; None for others
     """
 
     given: Series
@@ -57,6 +60,12 @@ class ImprovedFile:
     vertex_maps: list[VertexMap] | None
     fields: FieldChoice = "interpolate"
     height: HeightChoice = "interpolate"
+    placed: list[Placed | None] | None = None
+
+    @property
+    def curved(self) -> CurvedSummary | None:
+        """Counts of the six-node triangles of all meshes together; None without any."""
+        return curved_summary(self.meshes, self.placed)
 
     def message(self) -> str:
         """Why the improvement ended, of the first mesh that is not valid, or of the first one."""
@@ -72,8 +81,9 @@ class ImprovedFile:
         `report.lost` then names, for the meshes of this file, what the file will not hold.
         """
         made = draft_series(
-            path, join(self.meshes), self.given, self.vertex_maps, fields=self.fields, height=self.height
-        )
+            path, join(self.meshes), self.given, self.vertex_maps, fields=self.fields, height=self.height,
+            placed=self.placed,
+        )  # fmt: skip
         for b in range(self.rows.start, self.rows.stop):
             self.report.lost[b] = made.lost
         return made
@@ -113,7 +123,8 @@ def improve_series(
     check_height(height)
     batch = join([file.batch for file in files])
     before = quality(batch)
-    hold = torch.cat([_held(file) for file in files]) if options.slides else None
+    slides = options.slides or (options.at_interfaces == "free" and _curved(files))
+    hold = torch.cat([_held(file) for file in files]) if slides else None
     walls = partial(_walls, files)
     after, report = improve(batch, options, progress=progress, observe=observe, hold=hold, walls=walls)
     _explain(files, report)
@@ -124,7 +135,8 @@ def improve_series(
         rows = slice(first, first + len(file.batch))
         first = rows.stop
         own = None if maps is None else maps[rows]
-        improved.append(ImprovedFile(file, meshes[rows], rows, before, report, own, fields, height))
+        made, placed = with_nodes(file, meshes[rows], own)
+        improved.append(ImprovedFile(file, made, rows, before, report, own, fields, height, placed))
     return improved
 
 
@@ -136,6 +148,48 @@ def _explain(files: Sequence[Series], report: Report) -> None:
             source = file.sources[file.mesh_of_step.index(mesh)]
             report.messages[first + mesh] = source.explained(report.messages[first + mesh])
         first += len(file.batch)
+
+
+def _curved(files: Sequence[Series]) -> bool:
+    """Has any file six-node triangles?"""
+    return any(source.middles is not None for file in files for source in file.sources)
+
+
+def with_nodes(
+    file: Series, meshes: list[MeshBatch], maps: list[VertexMap] | None, *, mends: bool = True
+) -> tuple[list[MeshBatch], list[Placed | None] | None]:
+    """The meshes of a file with mid-side nodes placed, where it has any; and these, None for a file without any.
+
+    maps   from the rows of the file to those of the meshes, if they are others; they get the rows of nodes, too
+    mends  are nodes inside moved where a triangle would be inverted
+    """
+    if not _curved([file]):
+        return meshes, None
+    given, placed, made = file.batch.split(), [], []
+    for m, (mesh, source) in enumerate(zip(meshes, file.first_sources(), strict=True)):
+        one = None
+        if source.middles is not None:
+            one = replaced(source, mesh, None if maps is None else maps[m], given[m], mends=mends)
+            if maps is not None and one.vertex_map is not None:
+                maps[m] = one.vertex_map
+        placed.append(one)
+        made.append(mesh if one is None else one.mesh)
+    return made, placed
+
+
+def curved_summary(meshes: Sequence[MeshBatch], placed: Sequence[Placed | None] | None) -> CurvedSummary | None:
+    """Counts of the six-node triangles of meshes together; None without any."""
+    if placed is None:
+        return None
+    rest = [mesh for mesh, one in zip(meshes, placed, strict=True) if one is None]
+    found = [one.summary() for one in placed if one is not None]
+    return CurvedSummary.of_all(found + [CurvedSummary(0, 0, int(quality(m).inverted.sum()), 1.0) for m in rest])
+
+
+def curved_counts(file: Series) -> CurvedSummary | None:
+    """Counts of the six-node triangles of the meshes of a file together, as they are in it; None without any."""
+    placed = [None if s.middles is None else Placed(s.mesh, s.middles) for s in file.first_sources()]
+    return curved_summary([s.mesh for s in file.first_sources()], placed) if _curved([file]) else None
 
 
 def _held(file: Series) -> torch.Tensor:

@@ -79,4 +79,4 @@ def animate(
     write_film(film, shown, title=title or source.name)
     if not quiet:
         typer.echo(f"{film}: {console.counted(len(shown), noun)}, {film.stat().st_size / 1e6:.1f} MB")
-    return console.verdict("left", improved.report.quality, improved.message())
+    return console.verdict("left", improved.report.quality, improved.message(), curved=improved.curved)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from ..files.placed import CurvedSummary
     from ..improving.report import Progress
     from ..mesh.batch import MeshBatch
     from ..mesh.measure import Quality
@@ -197,29 +198,42 @@ def version() -> str:
     return version("torchmesh-untangle")
 
 
-def inverted_text(q: "Quality") -> str:
-    """'3 inverted triangles and 1 inverted quad'; empty if there are none."""
+# What a record calls the least scaled Jacobian of six-node triangles.
+CURVED = "minimum_scaled_jacobian"
+
+
+def inverted_text(q: "Quality", curved: "CurvedSummary | None" = None) -> str:
+    """'3 inverted triangles and 1 inverted quad'; empty if there are none.
+
+    curved  counts of six-node triangles, which are judged by their Jacobians; None: there are none
+    """
     quads = int((~q.quad_upright).sum())
-    triangles = int(q.inverted.sum()) - quads
-    parts = ((triangles, "inverted triangle"), (quads, "inverted quad"))
+    triangles = int(q.inverted.sum()) - quads if curved is None else curved.inverted_linear
+    second = 0 if curved is None else curved.inverted
+    parts = (
+        (triangles, "inverted triangle"), (second, "inverted six-node triangle"), (quads, "inverted quad"),
+    )  # fmt: skip
     return " and ".join(counted(count, noun) for count, noun in parts if count)
 
 
-def verdict(where: str, q: "Quality", message: str = "") -> int:
+def verdict(where: str, q: "Quality", message: str = "", curved: "CurvedSummary | None" = None) -> int:
     """Says it if a mesh has inverted triangles or quads, and returns the exit status: 1 if it has any, else 0.
 
     where    words that follow the count, as in "better.vtu"
     message  why the improvement ended, if that is known
+    curved   counts of six-node triangles, which are judged by their Jacobians
     """
-    inverted = inverted_text(q)
+    inverted = inverted_text(q, curved)
     if inverted:
         reason = f" ({message})" if message else ""
         say(f"not valid: {inverted} {where}{reason}")
     return int(bool(inverted))
 
 
-def record(mesh: "MeshBatch", q: "Quality") -> dict[str, Any]:
+def record(mesh: "MeshBatch", q: "Quality", curved: "CurvedSummary | None" = None) -> dict[str, Any]:
     """Counts and quality of the meshes of a file, all together, as plain values.
+
+    curved  counts of six-node triangles, which are inverted where their Jacobians are; None: there are none
 
     `inverted` counts triangles, and `inverted_quads` quads, where there are any.
     """
@@ -230,7 +244,8 @@ def record(mesh: "MeshBatch", q: "Quality") -> dict[str, Any]:
     return {
         "triangles": len(mesh.triangles),
         "vertices": len(mesh.points),
-        "inverted": int(q.inverted.sum()) - quads,
+        "inverted": int(q.inverted.sum()) - quads if curved is None else curved.all_inverted,
+        **({} if curved is None else curved.to_dict()),
         **({"quads": len(mesh.quads), "inverted_quads": quads} if len(mesh.quads) else {}),
         "imr_average": float(q.mean[0] if len(mesh) == 1 else q.mean.double() @ (sizes / sizes.sum())),
         "imr_maximum": float(q.max.max()),
@@ -265,6 +280,8 @@ def print_comparison(title: str, columns: dict[str, dict[str, Any]]) -> None:
         if key == "inverted" and any("quads" in record for record in columns.values()):
             for extra in ("quads", "inverted_quads"):
                 made.add_row(extra.replace("_", " "), *(number(r.get(extra, 0)) for r in columns.values()))
+        if key == "inverted" and any(CURVED in record for record in columns.values()):
+            made.add_row("minimum scaled Jacobian", *(number(r[CURVED]) for r in columns.values()))
     stdout().print(made)
 
 

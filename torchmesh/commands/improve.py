@@ -175,21 +175,22 @@ def improve(
             _print_steps(improved)
         _print_notes(improved.report, draft)
         _print_told_by(improved.given.sources[0])
-    return console.verdict(f"in {target}", improved.report.quality, improved.message())
+    return console.verdict(f"in {target}", improved.report.quality, improved.message(), improved.curved)
 
 
 def _columns(improved: "ImprovedFile") -> dict[str, dict[str, Any]]:
     """The figures of the meshes before and after, those of all steps together."""
+    from ..batches.file_improvement import curved_counts
     from ..mesh.batch import join
 
     return {
-        "before": console.record(improved.given.batch, improved.before),
-        "after": console.record(join(improved.meshes), improved.report.quality),
+        "before": console.record(improved.given.batch, improved.before, curved_counts(improved.given)),
+        "after": console.record(join(improved.meshes), improved.report.quality, improved.curved),
     }
 
 
 def _outcome(improved: "ImprovedFile") -> dict[str, Any]:
-    """The record of the report on the one mesh.
+    """The record of the report on the one mesh; with inverted six-node triangles it is not valid.
 
     Of a time series: whether all are valid and certified, and the record of each mesh with its steps.
     """
@@ -203,6 +204,10 @@ def _outcome(improved: "ImprovedFile") -> dict[str, Any]:
             "message": improved.message(),
             "meshes": [one | own for one, own in zip(steps, records, strict=True)],
         }
+    curved = improved.curved
+    if curved is not None and curved.inverted:
+        told = console.counted(curved.inverted, "inverted six-node triangle")
+        record |= {"valid": False, "certified": False, "message": f"{record['message']}; {told}"}
     return record
 
 

@@ -14,6 +14,8 @@ from .errors import UsageError
 from .shared_options import use_threads
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from ..files.source import Source
     from ..mesh.batch import MeshBatch
     from ..mesh.measure import Quality
@@ -62,9 +64,10 @@ def quality(
 
     IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0; elements are
     the file's own numbers (Gmsh, Nastran, Abaqus, Kratos, Exodus). The worst are the inverted triangles, largest
-    first, then those of the highest IMR. A quad is inverted if one of its corners is not upright. Of a time series
-    (XDMF, .pvd) every mesh has a row. The exit status is 1 if any triangle or quad of any file is inverted (an area
-    of zero included).
+    first, then those of the highest IMR. A quad is inverted if one of its corners is not upright, a six-node triangle
+    if its Jacobian is not positive everywhere on it; its scaled Jacobian is the least one over the largest. Of a time
+    series (XDMF, .pvd) every mesh has a row. The exit status is 1 if any triangle or quad of any file is inverted (an
+    area of zero included).
     """
     from ..batches.file_improvement import open_mesh
     from ..errors import MeshError
@@ -108,19 +111,26 @@ def _metric_names(option: str | None) -> list[str]:
 
 def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: str | None) -> dict[str, Any]:
     """All that was asked about one file, or about the mesh of these steps of it, as plain values."""
+    import torch
+
+    from ..files.curved import given
     from ..files.own_numbers import triangle_numbers
     from ..mesh.measure import quality as measure
     from ..mesh.metrics import evaluate, known_metrics
 
     mesh = source.mesh
     q = measure(mesh)
-    folded = (~q.quad_upright).nonzero().squeeze(1).tolist()
+    folded, upright = (~q.quad_upright).nonzero().squeeze(1).tolist(), q.upright
+    if source.middles is not None:
+        upright = torch.from_numpy(given(source).upright)
     record = {
         "file": console.told(str(source.path)),
         **({"steps": steps} if steps else {}),
-        **console.record(mesh, q),
-        "worst": _worst(mesh, q, worst, triangle_numbers(source.document)),
+        **console.record(mesh, q, source.curved),
+        "worst": _worst(mesh, q, upright, worst, triangle_numbers(source.document)),
     }
+    if source.curved is not None:
+        record["rows_of_inverted_curved"] = given(source).inverted.nonzero()[0].tolist()
     if len(mesh.quads):
         record["rows_of_inverted_quads"] = folded
     if sizes is not None:
@@ -137,10 +147,11 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
     return record
 
 
-def _worst(mesh: "MeshBatch", q: "Quality", count: int, own: Any = None) -> list[dict[str, Any]]:
+def _worst(mesh: "MeshBatch", q: "Quality", upright: "Tensor", count: int, own: Any = None) -> list[dict[str, Any]]:
     """The `count` worst triangles: inverted ones, largest first, then those of the highest IMR.
 
-    own  (T,) what the file calls each triangle; None: it has no numbers
+    upright  (T,) bool, which triangles are not inverted
+    own      (T,) what the file calls each triangle; None: it has no numbers
     """
     import torch
 
@@ -148,7 +159,7 @@ def _worst(mesh: "MeshBatch", q: "Quality", count: int, own: Any = None) -> list
 
     # Inverted triangles rank by their area, and far above all others, which rank by their shape.
     size = -q.area / q.area.abs().max().clamp_min(1e-300)
-    rank = torch.where(q.upright, -1 / q.inverse_mean_ratio, 1 + size)
+    rank = torch.where(upright, -1 / q.inverse_mean_ratio, 1 + size)
     rows = rank.argsort(descending=True, stable=True)[:count]
     centroids = lift(mesh)[mesh.triangles[rows]].mean(1)
     flat = bool((mesh.frames[0, 0, 2] == 0) & (mesh.frames[0, 1:, 2] == 0).all())
@@ -156,7 +167,7 @@ def _worst(mesh: "MeshBatch", q: "Quality", count: int, own: Any = None) -> list
         {
             "row": row,
             **({} if own is None else {"element": str(own[row])}),
-            "inverted": not bool(q.upright[row]),
+            "inverted": not bool(upright[row]),
             "imr": float(q.inverse_mean_ratio[row]),
             "area": float(q.area[row]),
             "centroid": centroid[:2] if flat else centroid,
@@ -237,6 +248,9 @@ def _files_table(records: list[dict[str, Any]]) -> Any:
     if mixed:
         table.add_column("quads", justify="right")
         table.add_column("inverted quads", justify="right")
+    curved = any(console.CURVED in record for record in records)
+    if curved:
+        table.add_column("minimum scaled Jacobian", justify="right")
     sized = "edge_length_over_size" in records[0]
     if sized:
         table.add_column("edge length / size: mean (5 - 95 %)", justify="right")
@@ -245,6 +259,8 @@ def _files_table(records: list[dict[str, Any]]) -> Any:
         cells = [console.number(value) for value in numbers]
         if mixed:
             cells += [console.number(r.get(key, 0)) for key in ("quads", "inverted_quads")]
+        if curved:
+            cells.append(console.number(r[console.CURVED]) if console.CURVED in r else "")
         if sized:
             mean, low, high = (f"{r['edge_length_over_size'][k]:.2f}" for k in ("mean", "p5", "p95"))
             cells.append(f"{mean} ({low} - {high})")

@@ -87,7 +87,7 @@ def report(
 
     The exit status is 1 if OUT has inverted triangles.
     """
-    from ..batches.file_improvement import open_mesh
+    from ..batches.file_improvement import curved_counts, open_mesh
     from ..files.atomic import check_target
     from ..files.time_series import check_steps
     from ..mesh.batch import join
@@ -118,7 +118,7 @@ def report(
         typer.echo(f"{page}: {extent}{which}, {page.stat().st_size / 1e6:.1f} MB")
         if note is not None:
             console.say(note)
-    return console.verdict(f"in {target}", quality(after.batch))
+    return console.verdict(f"in {target}", quality(after.batch), curved=curved_counts(after))
 
 
 def _step_shown(given: "Series", after: "Series", target: Path, step: int | None) -> int:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from ..files.parts import Part as FilePart
     from ..files.time_series import Series, SeriesDraft
+    from ..mesh.batch import MeshBatch
 
 EXAMPLES = (
     "torchmesh warp plate.msh --list",
@@ -206,7 +207,7 @@ def _warp(
     quiet: bool,
 ) -> int:
     """Warps in one step, improves if asked, writes; returns the exit status."""
-    from ..batches.file_improvement import improve_series
+    from ..batches.file_improvement import curved_counts, curved_summary, improve_series, with_nodes
     from ..files.time_series import draft_series
     from ..improving.options import ImproveOptions
     from ..mesh.batch import join
@@ -216,24 +217,27 @@ def _warp(
     mesh = given.batch
     with _file_named(given):
         warped = femwarp(mesh, boundary, hold=hold)
+    meshes, placed = with_nodes(given, warped.split(), None, mends=False)
+    warped, curved = join(meshes), curved_summary(meshes, placed)
     after = quality(warped)
     columns = {
-        "undeformed": console.record(mesh, quality(mesh)),
-        "warped": console.record(warped, after),
+        "undeformed": console.record(mesh, quality(mesh), curved_counts(given)),
+        "warped": console.record(warped, after, curved),
     }
     if not improve_too:
-        _save(draft_series(target, warped, given), strict)
+        _save(draft_series(target, warped, given, placed=placed), strict)
     else:
         with console.progress(quiet) as show:
             (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
         after = improved.report.quality
-        columns["improved"] = console.record(join(improved.meshes), after)
+        curved = improved.curved
+        columns["improved"] = console.record(join(improved.meshes), after, curved)
         _save(improved.draft(target), strict)
     if not quiet:
         console.print_comparison(str(target), columns)
     if improve_too:
-        return console.verdict(f"in {target}", after, improved.message())
-    inverted = console.inverted_text(after)
+        return console.verdict(f"in {target}", after, improved.message(), curved)
+    inverted = console.inverted_text(after, curved)
     if inverted:
         console.say(f"{inverted} in {target}; to mend: torchmesh improve {target} OUT")
     return 0
@@ -252,8 +256,10 @@ def _deform(
     """Moves in steps that invert nothing, writes, and says how far the boundary got; returns the exit status."""
     import torch
 
+    from ..batches.file_improvement import curved_counts, curved_summary, with_nodes
     from ..files.time_series import draft_series
     from ..improving.deformation import deform
+    from ..mesh.batch import join
     from ..mesh.measure import quality
     from ..status import Status
 
@@ -263,16 +269,36 @@ def _deform(
         rigid = torch.stack(bodies).any(0) if bodies else None
         count: Literal["auto"] | int = "auto" if steps == "auto" else int(steps)
         after, report = deform(mesh, boundary, count, progress=show, rigid=rigid, hold=hold)
-    _save(draft_series(target, after, given), strict)
+    meshes, placed = with_nodes(given, _with_given_nodes(given, after, boundary, report.status).split(), None)
+    after, curved = join(meshes), curved_summary(meshes, placed)
+    _save(draft_series(target, after, given, placed=placed), strict)
     if not quiet:
-        columns = {"undeformed": console.record(mesh, quality(mesh)), "deformed": console.record(after, quality(after))}
+        columns = {
+            "undeformed": console.record(mesh, quality(mesh), curved_counts(given)),
+            "deformed": console.record(after, quality(after), curved),
+        }
         console.print_comparison(f"{target}, {report.messages[0]}", columns)
     stopped = (report.status != Status.VALID).nonzero().squeeze(1).tolist()
     if not stopped:
-        return 0
+        return 0 if curved is None else console.verdict(f"in {target}", quality(after), curved=curved)
     which = f"{given.names()[stopped[0]]}: " if len(given) > 1 else ""
     console.say(f"not at the goal: {target} is valid, but {which}{report.messages[stopped[0]]}")
     return 1
+
+
+def _with_given_nodes(given: "Series", after: "MeshBatch", boundary: "Tensor", status: "Tensor") -> "MeshBatch":
+    """The meshes with mid-side nodes where the motion puts them; short of the goal, where they were."""
+    import torch
+
+    from ..status import Status
+
+    points = after.points.clone()
+    for m, source in enumerate(given.first_sources()):
+        if source.middles is not None:
+            there = boundary if int(status[m]) == Status.VALID else given.batch.points
+            rows = torch.from_numpy(source.middles.nodes) + int(after.point_offsets[m])
+            points[rows] = there[rows].to(points.dtype)
+    return after.with_points(points)
 
 
 def _save(draft: "SeriesDraft", strict: bool) -> None:

@@ -11,6 +11,7 @@ from .content import Content
 from .correspondence import Correspondence
 from .field_transfer import FieldTransfer, is_floating, is_motion
 from .fields import is_numbering, on_triangles
+from .placed import Placed
 from .quads import on_quads
 from .source import default_fixed
 from .surface import HeightChoice
@@ -40,12 +41,17 @@ class _Block(NamedTuple):
 
 
 def carried(
-    mesh: MeshBatch, old: Correspondence, fields: FieldTransfer | None = None, height: HeightChoice = "interpolate"
+    mesh: MeshBatch,
+    old: Correspondence,
+    fields: FieldTransfer | None = None,
+    height: HeightChoice = "interpolate",
+    placed: Placed | None = None,
 ) -> tuple[meshio.Mesh, list[str]]:
     """The file's mesh with the new triangles, to be written; and names for what has to be left out of it.
 
     fields  transfers the fields to where vertices and triangles are now; None: they ride with vertices and rows
     height  where vertices of a surface have moved, their heights are interpolated, or ride
+    placed  the mesh with its mid-side nodes, for a file with six-node triangles
     """
     file, dropped = old.source.content.mesh, []
     sets = list(file.cell_sets) if old.example is not None else []
@@ -55,7 +61,7 @@ def carried(
     lost = others - sum(len(b.data) for b in blocks if b.type != "triangle")
     if lost:
         dropped.append(f"{lost} cells whose vertices are gone")
-    result = meshio.Mesh(_positions(mesh, old, height), [meshio.CellBlock(b.type, b.data) for b in blocks])
+    result = meshio.Mesh(_positions(mesh, old, height), _as_in_the_file(blocks, old, placed))
     dropped = _carry_cell_data(old, fields, blocks, result) + dropped
     for name in sets:
         flags = [np.isin(np.arange(len(b.data)), m) for b, m in zip(file.cells, file.cell_sets[name], strict=True)]
@@ -74,6 +80,41 @@ def carried(
     # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.
     vars(result).update({name: value for name, value in vars(file).items() if name not in vars(result)})
     return result, dropped
+
+
+def _as_in_the_file(blocks: list[_Block], old: Correspondence, placed: Placed | None) -> list[meshio.CellBlock]:
+    """The blocks in the types of the file, with the mid-side nodes that these have."""
+    kinds = old.source.content.kinds
+    starts = np.cumsum([0] + [len(nodes) for nodes in kinds.middles])
+    made = []
+    for block in blocks:
+        kind, nodes = block.type, np.zeros((len(block.data), 0), np.int64)
+        if len(block.origin):
+            own = int(starts.searchsorted(block.origin[0], "right")) - 1
+            kind = kinds.names[own]
+            if kinds.middles[own].shape[1] == 1:
+                nodes = old.new_vertex[kinds.middles[own][block.origin - starts[own]]]
+            elif kinds.middles[own].shape[1] == 3:
+                assert placed is not None
+                nodes = placed.middles.of_sides(block.data)
+        kind = "triangle" if kind == "polygon" and block.type == "triangle" else kind
+        made.append(meshio.CellBlock(kind, np.concatenate([block.data, nodes], 1) if nodes.shape[1] else block.data))
+    return made
+
+
+def _by_kind(blocks: list[_Block], old: Correspondence) -> list[_Block]:
+    """The blocks of triangles, divided where they are in the place of cells of several types."""
+    kinds = old.source.content.kinds
+    sizes = [len(nodes) for nodes in kinds.middles]
+    of_cell = np.repeat([kinds.names.index(name) for name in kinds.names], sizes)
+    made = []
+    for block in blocks:
+        kind = of_cell[block.origin]
+        for one in np.unique(kind) if block.triangle is not None and len(kind) else [None]:
+            some = slice(None) if one is None else kind == one
+            triangle = None if block.triangle is None else block.triangle[some]
+            made.append(_Block(block.type, block.data[some], block.origin[some], triangle))
+    return made
 
 
 def _carry_cell_data(
@@ -129,10 +170,10 @@ def _blocks(old: Correspondence) -> list[_Block]:
     ends = np.cumsum([0] + [len(b.data) for b in content.mesh.cells])
     blocks: list[_Block] = []
     row, quads, written = 0, 0, False
-    for start, block in zip(ends[:-1], content.mesh.cells, strict=True):
+    for start, block, nodes in zip(ends[:-1], content.mesh.cells, content.kinds.middles, strict=True):
         if block.type != "triangle":
             data = old.new_vertex[block.data]
-            keep = (data >= 0).all(1)
+            keep = (data >= 0).all(1) & (old.new_vertex[nodes] >= 0).all(1)
             number = None
             if block.type == "quad":
                 number, quads = content.quad[quads : quads + len(data)][keep], quads + len(data)
@@ -144,7 +185,8 @@ def _blocks(old: Correspondence) -> list[_Block]:
         elif not written:
             written = True
             blocks += _triangle_blocks(content, old)
-    return [block for block in blocks if old.same_rows or len(block.data)]
+    blocks = [block for block in blocks if old.same_rows or len(block.data)]
+    return blocks if old.same_rows else _by_kind(blocks, old)
 
 
 def _triangle_blocks(content: Content, old: Correspondence) -> list[_Block]:

@@ -7,6 +7,7 @@ import meshio
 import numpy as np
 
 from ..errors import InvalidMeshError
+from .curved_cells import Kinds, straightened
 from .fields import REGION_TAGS, Regions, triangle_regions
 from .formats.format import Document
 from .quads import interfaces_of_quads, quads_of, sides_of
@@ -24,7 +25,10 @@ _HIGHER_ORDER = ("line", "quad")
 class Content:
     """A file's mesh taken apart.
 
-    mesh         meshio's mesh: arrays in native byte order, polygons of three corners among the triangles
+    mesh         meshio's mesh: arrays in native byte order, polygons of three corners among the triangles; triangles
+                 of six nodes, and lines of three, are there by their corners
+    kinds        what these cells are in the file
+    middles      (R, 3) the mid-side nodes of the triangle rows, -1 for straight ones
     rows         (R, 3) triangle rows of all blocks, in file order
     first        (T,) the first row of each triangle; some files list a triangle once for each of its groups
     triangle     (R,) the triangle of each row
@@ -38,6 +42,8 @@ class Content:
     """
 
     mesh: meshio.Mesh
+    kinds: Kinds
+    middles: np.ndarray
     rows: np.ndarray
     first: np.ndarray
     triangle: np.ndarray
@@ -57,7 +63,7 @@ class Content:
 
         regions  what tells the regions, as for `Regions.of`
         """
-        mesh = checked(document.mesh, path)
+        mesh, kinds = checked(document.mesh, path)
         try:
             told_by = Regions.of(mesh, regions)
         except ValueError as error:
@@ -69,8 +75,11 @@ class Content:
         first = triangle = np.arange(len(rows))
         if document.repeats_triangles:
             first, triangle = merged_rows(rows)
-        faces = rows[first]
+        faces, middles = rows[first], kinds.of_triangles(mesh)
         region = triangle_regions(mesh, triangle, len(first), told_by)
+        if kinds.curved and (middles < 0).any():
+            # No edge flips between straight and curved triangles: each keeps its kind.
+            region = np.unique(2 * region + (middles[first, 0] >= 0), return_inverse=True)[1].reshape(-1)
         none = np.zeros((0, 2), np.int64)
         lines = np.concatenate([none, *(b.data for b in mesh.cells if b.type == "line" and len(b.data))])
         quad_rows, quad_first, quad = quads_of(mesh, document.repeats_triangles)
@@ -82,9 +91,10 @@ class Content:
         kept = np.concatenate([_interfaces(faces, region), between, lines[on_edge], _shared(sides, edges)])
         constrained = np.unique(np.sort(kept, 1), axis=0)
         pinned, elsewhere = _pinned(mesh, np.concatenate([faces.reshape(-1), quads.reshape(-1)]), lines[~on_edge])
+        elsewhere[middles[middles >= 0]] = True
         return cls(
-            mesh, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides, told_by,
-            quad_rows, quad_first, quad,
+            mesh, kinds, middles, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides,
+            told_by, quad_rows, quad_first, quad,
         )  # fmt: skip
 
     @property
@@ -134,12 +144,16 @@ class Content:
         return None if marks is None else (marks.reshape(len(marks), -1) != 0).any(1)
 
 
-def checked(mesh: meshio.Mesh, path: Path) -> meshio.Mesh:
-    """A copy as of `_native`.  Raises InvalidMeshError, naming `path`, for cells that cannot be dealt with."""
+def checked(mesh: meshio.Mesh, path: Path) -> tuple[meshio.Mesh, Kinds]:
+    """A copy as of `_native`, with straight cells, and what these are in the file.
+
+    Raises InvalidMeshError, naming `path`, for cells that cannot be dealt with.
+    """
     mesh = _native(mesh)
-    _check_types(mesh, path)
     _check_rows(mesh, path)
-    return mesh
+    mesh, kinds = straightened(mesh)
+    _check_types(mesh, path)
+    return mesh, kinds
 
 
 def _native(mesh: meshio.Mesh) -> meshio.Mesh:
@@ -171,11 +185,13 @@ def _native(mesh: meshio.Mesh) -> meshio.Mesh:
 def _check_types(mesh: meshio.Mesh, path: Path) -> None:
     types = {block.type for block in mesh.cells if len(block.data)}
     for name in sorted(types):
-        if name.startswith("triangle") and name != "triangle":
-            raise InvalidMeshError(f"{path}: it has second-order triangles ({name}); convert it to linear ones first")
+        if name != "triangle" and name.startswith("triangle"):
+            raise InvalidMeshError(
+                f"{path}: it has {name} cells; of curved triangles those of six nodes can be improved: convert it first"
+            )
         if name not in _LINEAR and name.rstrip("0123456789") not in _HIGHER_ORDER:
             raise InvalidMeshError(
-                f"{path}: it has {name} cells; only planar meshes of linear triangles and quads can be improved"
+                f"{path}: it has {name} cells; only planar meshes of triangles and linear quads can be improved"
             )
     if "triangle" not in types and "quad" not in types:
         found = f"it has {' and '.join(sorted(types))} cells only" if types else "it has no cells"

@@ -13,6 +13,7 @@ from .atomic import full_disk_named, real_target, replacing
 from .formats.format import Document
 from .formats.registry import format_of
 from .messages import translated, warn
+from .placed import CurvedSummary
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,7 @@ class Draft:
     unheld     names for what the format cannot hold of the rest
     stale      names for values at nodes that moved, which stay as they were in a file that is changed in place
     remarks    what is written otherwise than in the file that is followed, and nothing is lost by it
+    curved     counts of six-node triangles; None without any
     """
 
     path: Path
@@ -41,6 +43,7 @@ class Draft:
     unheld: tuple[str, ...] = ()
     stale: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    curved: CurvedSummary | None = None
 
     @classmethod
     def of(

@@ -17,6 +17,8 @@ from ..mesh.batch import MeshBatch
 from ..mesh.quads import halved, halves_of
 from ..mesh.triangle import corners, signed_area
 from ..transferring.transfer import Transfer, prepared
+from .placed import Placed
+from .quadratic_transfer import prepared_through_nodes
 
 FieldChoice = Literal["interpolate", "carry", "drop"]
 
@@ -136,6 +138,13 @@ class FieldTransfer:
         self.before, self.after = (m.with_points(m.points.detach()).to("cpu") for m in (before, after))
         self.drops = choice == "drop"
         self.summary = FieldSummary()
+        self.nodes: tuple[Placed, Placed] | None = None
+
+    def through_nodes(self, before: "Placed", after: "Placed") -> "FieldTransfer":
+        """The same for meshes with mid-side nodes, whose values at points are interpolated between all of these."""
+        made = FieldTransfer(before.mesh, after.mesh, "drop" if self.drops else "interpolate")
+        made.summary, made.nodes = self.summary, (before, after)
+        return made
 
     @functools.cached_property
     def unchanged(self) -> bool:
@@ -145,7 +154,10 @@ class FieldTransfer:
 
     @functools.cached_property
     def _points(self) -> Transfer:
-        made = prepared(halved(self.before), halved(self.after), "points")
+        if self.nodes is None:
+            made = prepared(halved(self.before), halved(self.after), "points")
+        else:
+            made = prepared_through_nodes(*self.nodes)
         self.summary.outside = int(made.info.outside.sum())
         self.summary.tangled = int(made.info.tangled.sum())
         return made

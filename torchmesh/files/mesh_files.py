@@ -9,6 +9,7 @@ What is not a triangle stays in the file's own data and comes back through `like
 
 import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -22,11 +23,13 @@ from ..mesh.quads import halved
 from ..mesh.vertex_map import VertexMap
 from .carry_over import carried
 from .correspondence import Correspondence
+from .curved import ends_of_curved, given, replaced
 from .drafts import Draft
 from .field_transfer import FieldChoice, FieldTransfer, check_choice, mesh_of_values
 from .formats.format import Document
 from .formats.registry import FORMATS, format_of
 from .messages import warn
+from .placed import Placed
 from .source import Source, as_path, default_fixed
 from .split_quads import with_split_quads
 from .surface import HeightChoice, check_height
@@ -70,6 +73,8 @@ def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     content, mesh = source.content, source.mesh
     hold = torch.from_numpy(content.pinned | content.seams)
     hold[torch.from_numpy(source.document.tied)] = True
+    if source.middles is not None:
+        hold[ends_of_curved(source)] = True
     if content.fixed is not None:
         edges = halved(mesh)
         boundary = connectivity.boundary_vertices(edges.triangles, edges.twin, len(hold))
@@ -140,10 +145,12 @@ def draft(
     vertex_map: VertexMap | None = None,
     fields: FieldTransfer | None = None,
     height: HeightChoice = "interpolate",
+    placed: Placed | None = None,
 ) -> Draft:
     """A batch of one, ready to be written at `path`; raises as `write` does.
 
     fields  transfers the fields of `like`; None: they ride with vertices and rows
+    placed  the mesh with its mid-side nodes, if they have been placed; None: they are, where `like` has any
     """
     mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     split = like is not None and len(mesh.quads) < len(like.mesh.quads)
@@ -153,16 +160,21 @@ def draft(
         content = _new_content(mesh)
         content.points = _in_space(path, content.points, mesh, None)
         return Draft.of(path, content)
+    if like.middles is not None:
+        placed = placed or replaced(like, mesh, vertex_map, None if fields is None else fields.before)
+        mesh, vertex_map = placed.mesh, placed.vertex_map
+        fields = None if fields is None else fields.through_nodes(given(like, fields.before), placed)
     document, correspondence = like.document, Correspondence.between(mesh, like, vertex_map)
     # What else the file ties to its rows does not hold for quads that became triangles.
     same_rows = correspondence.same_rows and not split
-    content, dropped = carried(mesh, correspondence, fields, height)
+    content, dropped = carried(mesh, correspondence, fields, height, placed)
     dropped += FORMATS[document.format].left_behind(document, format_of(path, document), same_rows)
     if correspondence.changed and document.format == format_of(path, document).name:
         dropped += document.by_element
     content.points = _in_space(path, content.points, mesh, document)
     stale = [] if fields is None or not same_rows else _stale(document, content.points)
-    return Draft.of(path, content, document, same_rows, like.path, tuple(dropped), tuple(stale))
+    made = Draft.of(path, content, document, same_rows, like.path, tuple(dropped), tuple(stale))
+    return made if placed is None else replace(made, curved=placed.summary())
 
 
 def _stale(document: Document, points: np.ndarray) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .content import merged_rows
-from .formats.deck import triangles_of
+from .formats.deck import TRIANGLES, triangles_of
 from .formats.format import Document
 
 # So many numbers are told in one message.
@@ -24,8 +24,16 @@ _TRIANGLE = re.compile(r"\btriangles?(?: cells)?(?: rows?)? (\d+(?:(?:, | and )\
 
 def triangle_numbers(document: Document) -> Sequence[Any] | np.ndarray | None:
     """(T,) what the file calls each triangle of the mesh that is read from it; None without numbers of its own."""
-    numbers = document.cell_numbers.get("triangle")
-    if numbers is None or not document.repeats_triangles:
+    if not any(kind in document.cell_numbers for kind in TRIANGLES):
+        return None
+    numbers: list[Any] = []
+    taken = dict.fromkeys(TRIANGLES, 0)
+    for block in document.mesh.cells:
+        if block.type in TRIANGLES:
+            start = taken[block.type]
+            taken[block.type] += len(block.data)
+            numbers += list(document.cell_numbers.get(block.type, ())[start : taken[block.type]])
+    if not document.repeats_triangles:
         return numbers
     first, _ = merged_rows(triangles_of(document.mesh))
     return [numbers[row] for row in first.tolist()]

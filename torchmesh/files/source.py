@@ -6,11 +6,13 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from ..curving.middles import Middles
 from ..errors import InvalidMeshError, MeshIOError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
@@ -22,6 +24,7 @@ from .documents import load
 from .formats.format import Document
 from .messages import in_one_line, warn
 from .own_numbers import with_own_numbers
+from .placed import CurvedSummary, Placed
 from .pvd import is_pvd
 from .surface import Surface
 
@@ -59,8 +62,11 @@ class Source:
         """Raises InvalidMeshError and MeshIOError and warns as `read` does."""
         with in_one_line(path), _own_numbers_told(document):
             content = Content.of(document, path, regions)
-            surface = Surface.of(content.mesh.points, content.rows[content.first], path)
-            return cls(path, document, content, _batch(content, path, surface), surface)
+            every = np.concatenate([content.rows[content.first], halves_of(torch.from_numpy(content.quads)).numpy()])
+            surface = Surface.of(content.mesh.points, every, path)
+            made = cls(path, document, content, _batch(content, path, surface), surface)
+            _ = made.middles  # what is wrong with them is said when the file is read
+            return made
 
     def explained(self, text: str) -> str:
         """A message about the mesh: rows also as the file's own numbers, constrained edges by what they come from."""
@@ -70,6 +76,25 @@ class Source:
             origin = " and ".join(filter(None, [self.content.bound_by_regions, lines]))
             more = f" (constrained edges are {origin})" if origin else ""
         return with_own_numbers(text, self.document) + more
+
+    @cached_property
+    def middles(self) -> Middles | None:
+        """The mid-side nodes of the file's six-node triangles, which are rows of `mesh.points`; None without any.
+
+        Raises InvalidMeshError for nodes that belong to no or to several edges.
+        """
+        content = self.content
+        if not content.kinds.curved:
+            return None
+        try:
+            return Middles.of(content.rows[content.first], content.middles[content.first])
+        except InvalidMeshError as error:
+            raise InvalidMeshError(f"{self.path}: {error}") from None
+
+    @cached_property
+    def curved(self) -> CurvedSummary | None:
+        """Counts of the file's six-node triangles; None without any."""
+        return None if self.middles is None else Placed(self.mesh, self.middles).summary()
 
 
 @contextlib.contextmanager

@@ -77,6 +77,8 @@ def _content(content: Content, gone: np.ndarray, diagonal: np.ndarray, after: Me
     return replace(
         content,
         mesh=mesh,
+        kinds=content.kinds.changed(kept, [len(block.data) for block in more]),
+        middles=np.concatenate([content.middles, np.full((len(rows) - len(content.rows), 3), -1)]),
         rows=rows,
         first=first,
         triangle=triangle,

@@ -30,6 +30,7 @@ from .formats.xdmf import XDMF, check_data_files, is_series, write_mixed
 from .formats.xdmf_text import alone
 from .mesh_files import draft
 from .messages import translated, warn
+from .placed import CurvedSummary, Placed
 from .pvd import is_pvd, pvd_steps, step_paths, write_pvd
 from .source import Source
 from .surface import HeightChoice
@@ -169,8 +170,12 @@ def draft_series(
     fields: FieldChoice = "carry",
     before: MeshBatch | None = None,
     height: HeightChoice = "interpolate",
+    placed: Sequence[Placed | None] | None = None,
 ) -> "SeriesDraft":
-    """The steps of `like`, ready to be written; arguments and errors are those of `write_series`."""
+    """The steps of `like`, ready to be written; arguments and errors are those of `write_series`.
+
+    placed  the meshes of `batch` with their mid-side nodes; None: these are placed where the file has any
+    """
     path = Path(path)
     meshes = batch.split()
     if len(meshes) != len(like.batch):
@@ -189,8 +194,9 @@ def draft_series(
         followed = like.path is not None and is_pvd(like.path)
         extensions = [source.path.suffix if followed else ".vtu" for source in like.sources]
         paths = step_paths(path, extensions, like.path)
+    nodes = [None] * len(meshes) if placed is None else placed
     rows = zip(paths, like.mesh_of_step, like.sources, strict=True)
-    steps = [draft(at, meshes[m], source, maps[m], transfers[m], height) for at, m, source in rows]
+    steps = [draft(at, meshes[m], source, maps[m], transfers[m], height, nodes[m]) for at, m, source in rows]
     summary = sum((one.summary for one in transfers if one is not None), FieldSummary())
     return SeriesDraft(path, like.times, steps, summary)
 
@@ -215,6 +221,12 @@ class SeriesDraft:
     times: list[float]
     steps: list[Draft]
     fields: FieldSummary
+
+    @property
+    def curved(self) -> CurvedSummary | None:
+        """Counts of six-node triangles in all steps together; None without any."""
+        found = [step.curved for step in self.steps if step.curved is not None]
+        return CurvedSummary.of_all(found) if found else None
 
     @property
     def lost(self) -> list[str]:

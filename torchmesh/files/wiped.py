@@ -22,7 +22,9 @@ def wiped(document: Document, path: Path, tolerance: float = 0.0, sew: bool = Fa
     the data of the whole.  Other cells stay where their vertices do; those that lost a corner go.  Raises
     InvalidMeshError as `clean` does, and for cells that cannot be dealt with.
     """
-    mesh = checked(document.mesh, path)
+    mesh, kinds = checked(document.mesh, path)
+    if kinds.curved:
+        raise InvalidMeshError(f"{path}: it has six-node triangles; only straight ones can be cleaned")
     rows = np.concatenate([b.data for b in mesh.cells if b.type == "triangle"]).astype(np.int64)
     first = triangle = np.arange(len(rows))
     if document.repeats_triangles:

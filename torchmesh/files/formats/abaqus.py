@@ -12,7 +12,7 @@ import meshio
 import numpy as np
 
 from .abaqus_cards import Card, cards, element_kind, items, rows, set_members, sides_start
-from .deck import Deck, DeckFormat, SideLine, read_lines, side_groups, triangles_of
+from .deck import TRIANGLES, Deck, DeckFormat, SideLine, read_lines, side_groups, span_table, triangles_of
 from .format import LINEAR, Document
 from .nodal_values import NodalValues
 
@@ -123,7 +123,7 @@ class _Reader:
         """The deck, after `mesh`."""
         known = {"NODE", "ELEMENT", "NSET", "ELSET", "SURFACE", "HEADING"}
         others = dict.fromkeys(f"*{card.keyword}" for card in self.cards if card.keyword not in known)
-        corners = np.array(self.corners, np.int64).reshape(-1, 3, 4)
+        corners = span_table(self.corners)
         points = np.array(self.points, np.int64).reshape(-1, 3, 4)
         return Deck(self.lines, points, corners, self.labels, self.side_lines, list(others), ", ")
 
@@ -195,7 +195,7 @@ class _Reader:
             block = kinds[kind]
             element = _Element(name, block=block, position=len(self.blocks[block][1]))
             self.blocks[block][1].append(row)
-            if kind == "triangle":
+            if kind in TRIANGLES:
                 element.row = len(self.names)
                 self.names.append(key)
                 self.corners.append([(*item[:3], 0) for item in nodes])

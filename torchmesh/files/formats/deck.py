@@ -10,7 +10,7 @@ References to the sides of elements (pressures, surfaces) are rewritten to the s
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +24,9 @@ from .sides import edges_of, followed
 # The columns of a span: its line, its first and last column, and the width that its text has to fill (0: any width;
 # -k: nothing stands there yet, and k separators come before the text).
 SPAN = 4
+
+# Types of cells that are triangles: straight, and with mid-side nodes behind the corners.
+TRIANGLES = ("triangle", "triangle6")
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Deck:
 
     lines        all lines with their ends
     points       (V, 3, SPAN) where the coordinates of each node stand
-    corners      (R, 3, SPAN) where the nodes of each triangle stand
+    corners      (R, 3 or 6, SPAN) where the nodes of each triangle stand; -1 behind those of a straight one
     labels       (V,) what lines of elements call each node
     side_lines   the lines that name sides of elements
     cards        what else the deck has, each once: named when it is lost
@@ -138,9 +141,10 @@ class DeckFormat(MeshioFormat):
             edits.put(span, text, deck.separator)
             written[node, axis] = self.value(text)
         _check_rounding(new, written, after)
-        for row, corner in np.argwhere(before != after).tolist():
+        nodes, was_nodes = nodes_of(mesh), nodes_of(like.mesh)
+        for row, corner in np.argwhere(was_nodes != nodes).tolist():
             span = deck.corners[row, corner]
-            edits.put(span, self.label(deck.labels[after[row, corner]], int(span[3])), deck.separator)
+            edits.put(span, self.label(deck.labels[nodes[row, corner]], int(span[3])), deck.separator)
         for side in deck.side_lines:
             elements, sides = followed(before, after, side.elements, side.sides)
             was = set(zip(side.elements.tolist(), side.sides.tolist(), strict=True))
@@ -168,9 +172,21 @@ def read_lines(path: Path) -> list[str]:
 
 
 def triangles_of(mesh: meshio.Mesh) -> np.ndarray:
-    """(R, 3) the triangles of all blocks, in file order."""
-    blocks = [block.data for block in mesh.cells if block.type == "triangle"]
-    return np.concatenate([np.zeros((0, 3), np.int64), *blocks])
+    """(R, 3) the triangles of all blocks, in file order, by their corners."""
+    return nodes_of(mesh)[:, :3]
+
+
+def nodes_of(mesh: meshio.Mesh) -> np.ndarray:
+    """(R, 6) the nodes of the triangles of all blocks, in file order; -1 behind those of straight ones."""
+    blocks = [block.data for block in mesh.cells if block.type in TRIANGLES]
+    padded = [np.pad(rows, ((0, 0), (0, 6 - rows.shape[1])), constant_values=-1) for rows in blocks]
+    return np.concatenate([np.zeros((0, 6), np.int64), *padded])
+
+
+def span_table(rows: Sequence[Sequence[tuple[int, int, int, int]]]) -> np.ndarray:
+    """(R, 6, SPAN) where the nodes of triangles stand; the first column is -1 behind those of straight ones."""
+    none = (-1, 0, 0, 0)
+    return np.array([[*row, *[none] * (6 - len(row))] for row in rows], np.int64).reshape(-1, 6, SPAN)
 
 
 def side_groups(lines: list[SideLine], rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ import meshio
 import numpy as np
 
 from ..swelling import check_netcdf
-from .deck import triangles_of
+from .deck import TRIANGLES, triangles_of
 from .format import LINEAR, Document, Format
 from .meshio_formats import MeshioFormat
 from .sides import edges_of, followed
@@ -85,7 +85,7 @@ class ExodusFormat(MeshioFormat):
             elements = _numbers(data, ("elem_num_map", "elem_map"), _size(data, "num_elem"))
         return Document(
             mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element), at_nodes=at_nodes,
-            node_numbers=node_numbers, cell_numbers={"triangle": elements[file.triangles]},
+            node_numbers=node_numbers, cell_numbers=_by_type(mesh, elements[file.triangles]),
         )  # fmt: skip
 
     def patches(self, document: Document) -> bool:
@@ -100,7 +100,7 @@ class ExodusFormat(MeshioFormat):
             data.set_auto_mask(False)
             _write_points(data, mesh.points)
             for number, block in zip(file.blocks, mesh.cells, strict=True):
-                if block.type == "triangle":
+                if block.type in TRIANGLES:
                     data.variables[f"connect{number}"][:] = block.data + 1
             before, after = triangles_of(like.mesh), triangles_of(mesh)
             for one in file.sides:
@@ -174,7 +174,7 @@ def _read_cells(data: Any, raw: bytes) -> tuple[meshio.Mesh, ExodusFile]:
             cells.append((kind, rows))
             numbers.append(number)
             ids.append(np.full(len(rows), all_ids[number - 1]))
-            if kind == "triangle":
+            if kind in TRIANGLES:
                 triangles.append(start + np.arange(len(rows)))
         start += size
     others = [f"block name {name!r}" for name in names] if "eb_names" in variables else []
@@ -269,6 +269,13 @@ def _read_results(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:
     file.others += ["the times of the steps"] if steps > 1 else []
 
 
+def _by_type(mesh: meshio.Mesh, numbers: np.ndarray) -> dict[str, np.ndarray]:
+    """The numbers of all triangles, in file order, by their types."""
+    types = [np.full(len(b.data), b.type == "triangle6") for b in mesh.cells if b.type in TRIANGLES]
+    second = np.concatenate([np.zeros(0, bool), *types])
+    return {"triangle": numbers[~second], "triangle6": numbers[second]}
+
+
 def _columns(variable: Any) -> np.ndarray:
     """(n,) the values of the only step, or (n, steps)."""
     values = np.asarray(variable[:], float).T
@@ -295,7 +302,7 @@ def _write_results(data: Any, mesh: meshio.Mesh, like: Document, changed: np.nda
         row = 0
         for i, number in enumerate(file.blocks):
             size, variable = len(mesh.cells[i].data), data.variables.get(f"vals_elem_var{k}eb{number}")
-            triangle = mesh.cells[i].type == "triangle"
+            triangle = mesh.cells[i].type in TRIANGLES
             if variable is not None and name in mesh.cell_data:
                 _put(variable, mesh.cell_data[name][i])
             elif variable is not None and triangle and changed[row : row + size].any():

@@ -17,7 +17,10 @@ FLAT = ("triangle", "quad")
 LINEAR = ("line", *FLAT)
 ALL_BUT_POLYGONS = ("vertex", *LINEAR, "higher")
 ALL_CELLS = ("vertex", *LINEAR, "polygon", "higher")
-_HIGHER = re.compile(r"^(line|quad)\d+$")
+_HIGHER = re.compile(r"^(line|quad)\d+$|^triangle6$")
+
+# Where a format has no cells of the second order, their corners are written.
+_STRAIGHT = {"triangle6": ("triangle", 3), "line3": ("line", 2)}
 
 
 @dataclass(frozen=True)
@@ -127,8 +130,9 @@ class Format(abc.ABC):
 
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """The mesh without what the format cannot hold, and names for what was taken away."""
+        mesh, straight = self._in_its_types(mesh)
         kept = [i for i, b in enumerate(mesh.cells) if ("higher" if _HIGHER.match(b.type) else b.type) in self.cells]
-        lost = {f"{b.type} cells" for i, b in enumerate(mesh.cells) if i not in kept}
+        lost = {f"{b.type} cells" for i, b in enumerate(mesh.cells) if i not in kept} | straight
         cells = [mesh.cells[i] for i in kept]
         if self.index_type is not None:
             cells = [meshio.CellBlock(b.type, b.data.astype(self.index_type)) for b in cells]
@@ -161,6 +165,24 @@ class Format(abc.ABC):
         # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.
         vars(fitted).update({name: value for name, value in vars(mesh).items() if name not in vars(fitted)})
         return fitted, lost
+
+    def _in_its_types(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        """The mesh with cells of the second order by their corners, where the format does not have them."""
+        cells, lost = [], set()
+        for block in mesh.cells:
+            kind, data = block.type, block.data
+            if "higher" not in self.cells and kind == "triangle6":
+                lost.add("mid-side nodes of triangle6 cells")
+            if "higher" not in self.cells and kind in _STRAIGHT:
+                kind, width = _STRAIGHT[kind]
+                data = data[:, :width]
+            cells.append(meshio.CellBlock(kind, data))
+        if all(one.type == other.type for one, other in zip(cells, mesh.cells, strict=True)):
+            return mesh, lost
+        made = meshio.Mesh.copy(mesh)
+        made.cells = cells
+        vars(made).update({name: value for name, value in vars(mesh).items() if name not in vars(made)})
+        return made, lost
 
     def _fit_cell_data(self, mesh: meshio.Mesh, kept: list[int], lost: set[str]) -> dict[str, list[np.ndarray]]:
         """The cell data of the blocks `kept`; adds to `lost`."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .deck import Deck, DeckFormat, read_lines
+from .deck import TRIANGLES, Deck, DeckFormat, read_lines, span_table
 from .format import ALL_BUT_POLYGONS, Document
 from .nodal_values import NodalValues
 
@@ -37,10 +37,10 @@ class KratosFormat(DeckFormat):
         reader = _Reader(read_lines(path))
         reader.run()
         points = np.array(reader.points, np.int64).reshape(-1, 3, 4)
-        corners = np.array(reader.corners, np.int64).reshape(-1, 3, 4)
+        corners = span_table(reader.corners)
         deck = Deck(reader.lines, points, corners, reader.labels, [], list(reader.cards))
         mesh, by_element = reader.mesh(), reader.by_element()
-        several = sum(kind == "triangle" and name != "Elements" for name, kind in reader.blocks) > 0
+        several = sum(kind in TRIANGLES and name != "Elements" for name, kind in reader.blocks) > 0
         at_nodes = reader.values.rows(len(reader.nodes))
         return Document(
             mesh, self.name, rest=deck, repeats_triangles=several, by_element=tuple(by_element), at_nodes=at_nodes,
@@ -101,7 +101,7 @@ class _Reader:
         if not self.nodes or not self.blocks:
             raise ValueError("it has no nodes or no elements")
         self._read_nodal_values()
-        self.corners = [spans for key, found in corners.items() if key[1] == "triangle" for spans in found]
+        self.corners = [spans for key, found in corners.items() if key[1] in TRIANGLES for spans in found]
 
     def _read_nodes(self, words: list[_Word]) -> None:
         if len(words) % 4:

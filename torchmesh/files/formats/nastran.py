@@ -12,7 +12,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .deck import Deck, DeckFormat, SideLine, read_lines, side_groups, triangles_of
+from .deck import TRIANGLES, Deck, DeckFormat, SideLine, read_lines, side_groups, span_table, triangles_of
 from .format import ALL_BUT_POLYGONS, Document
 from .nastran_cards import Entry, entries, real, real_text
 from .nodal_values import NodalValues
@@ -58,7 +58,7 @@ class NastranFormat(DeckFormat):
         reader = _Reader(read_lines(path))
         mesh = reader.mesh()
         points = np.array(reader.points, np.int64).reshape(-1, 3, 4)
-        corners = np.array(reader.corners, np.int64).reshape(-1, 3, 4)
+        corners = span_table([span for kind in reader.blocks for span in reader.corners.get(kind, [])])
         known = {"GRID", "CTRIA3", "CQUAD4"}
         cards = [name for name in dict.fromkeys([*reader.control, *reader.found]) if name not in known]
         deck = Deck(reader.lines, points, corners, reader.labels, reader.side_lines, cards, ",")
@@ -94,8 +94,8 @@ class _Reader:
     labels: list[str] = field(default_factory=list)
     coordinates: list[list[float]] = field(default_factory=list)
     points: list[list[tuple[int, int, int, int]]] = field(default_factory=list)
-    corners: list[list[tuple[int, int, int, int]]] = field(default_factory=list)
-    names: list[int] = field(default_factory=list)
+    corners: dict[str, list[list[tuple[int, int, int, int]]]] = field(default_factory=dict)
+    names: dict[str, list[int]] = field(default_factory=dict)
     blocks: dict[str, tuple[list[list[int]], list[int]]] = field(default_factory=dict)
     where: dict[int, tuple[str, int]] = field(default_factory=dict)
     control: list[str] = field(default_factory=list)
@@ -187,10 +187,13 @@ class _Reader:
         except KeyError as error:
             raise ValueError(f"{entry.name} {number} has node {error.args[0]}, which is not there") from None
         rows, properties = self.blocks.setdefault(kind, ([], []))
-        if kind == "triangle":
-            self.corners.append([node.span for node in nodes])
-            self.names.append(number)
-            angle = entry.text(5)
+        if entry.name == "CTRIAX6":  # its corners and mid-side nodes stand in turn
+            nodes = [nodes[k] for k in (0, 2, 4, 1, 3, 5)]
+            row = [row[k] for k in (0, 2, 4, 1, 3, 5)]
+        if kind in TRIANGLES:
+            self.corners.setdefault(kind, []).append([node.span for node in nodes])
+            self.names.setdefault(kind, []).append(number)
+            angle = entry.text(places[-1] + 1)
             if angle and "." in angle and real(angle) != 0:
                 self.by_element.append(f"the material angle (THETA) of {entry.name}, which is relative to a side")
         self.by_element = list(dict.fromkeys(self.by_element))
@@ -233,9 +236,11 @@ class _Reader:
         else:
             return
         where = self.where.get(int(entry.text(element) or 0))
-        if where is None or where[0] != "triangle":
+        if where is None or where[0] not in TRIANGLES:
             return
-        row = triangles_of(mesh)[where[1]].tolist()
+        number_of_row = [number for kind in self.blocks for number in self.names.get(kind, [])]
+        place = number_of_row.index(int(entry.text(element)))
+        row = triangles_of(mesh)[place].tolist()
         if ends is None:
             side = int(entry.text(2) or 0) - 1
         else:
@@ -248,7 +253,7 @@ class _Reader:
         text = text if width == 0 else text.expandtabs(8)
 
         def render(pairs: list[tuple[int, int]]) -> list[str]:
-            number = str(self.names[pairs[0][0]])
+            number = str(number_of_row[pairs[0][0]])
             made = (
                 text[:start] + (number.ljust(width)[: max(width, len(number))] if width > 0 else number) + text[stop:]
             )
@@ -259,7 +264,7 @@ class _Reader:
                 made = made[: first + shift] + (digit.ljust(wide) if wide > 0 else digit) + made[last + shift :]
             return [made]
 
-        self.side_lines.append(SideLine(entry.name, line, np.array([where[1]]), np.array([side]), render))
+        self.side_lines.append(SideLine(entry.name, line, np.array([place]), np.array([side]), render))
 
 
 def _numbers(texts: list[str], known: Collection[int]) -> list[int]:
