@@ -6,9 +6,19 @@ import re
 import zlib
 from pathlib import Path
 
+import meshes
 import numpy as np
 
 from torchmesh import MeshBatch, improve
+
+
+def two_faults() -> MeshBatch:
+    """A square on two sides of which neighbours have passed each other: two places that nothing can mend."""
+    points, triangles = meshes.grid_arrays(12, 12)
+    for low, high, side in ((3, 4, 0.0), (8, 9, 1.0)):
+        rows = [int(np.flatnonzero((points == (k / 12, side)).all(1))[0]) for k in (low, high)]
+        points[rows] = points[rows[::-1]]
+    return MeshBatch.from_arrays(points, triangles)
 
 
 def recorded(mesh: MeshBatch):
@@ -26,13 +36,13 @@ def embedded(text: str) -> tuple[dict, bytes]:
 
 
 def decoded(header: dict, data: bytes) -> list[list[np.ndarray]]:
-    """Points, triangles, codes and flags of each stage: the format as its description has it, read slowly."""
+    """Points, triangles, codes, flags and interfaces of each stage: the format as described, read slowly."""
     stages: list[list[np.ndarray]] = []
     offset = 0
     for entry in header["stages"]:
-        v, t = entry["vertices"], entry["triangles"]
+        v, t, e = entry["vertices"], entry["triangles"], entry["interfaces"]
         stage = []
-        for k, (width, count) in enumerate([(4, 2 * v), (4, 3 * t), (2, t), (1, (t + 7) // 8)]):
+        for k, (width, count) in enumerate([(4, 2 * v), (4, 3 * t), (2, t), (1, (t + 7) // 8), (4, 2 * e)]):
             planes = np.frombuffer(data, np.uint8, width * count, offset).reshape(width, count).astype(np.uint64)
             offset += width * count
             values = sum(planes[b] << np.uint64(8 * b) for b in range(width))

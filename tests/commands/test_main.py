@@ -54,7 +54,7 @@ BAD = {
         [*WARP, "--move", "slot:1,0"],
         "there is no slot, only outer:1, hole:1 (--list",
     ),
-    "hole without number": ([*WARP, "--move", "hole:1,0"], "expected hole:N:DX,DY"),
+    "hole without number": ([*WARP, "--move", "hole:1,0"], "there is no hole, only outer:1, hole:1"),
     "one number": ([*WARP, "--move", "hole:1:1"], "'1' is not 2 numbers"),
     "infinitely far": ([*WARP, "--move", "hole:1:inf,0"], "'inf,0' is not 2 numbers"),
     "empty box": ([*WARP, "--move", "5,5,6,6:1,0"], "no boundary vertex"),

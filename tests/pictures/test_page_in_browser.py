@@ -6,7 +6,7 @@ from pathlib import Path
 import meshes
 import pytest
 from browser import chromium
-from pictured import embedded, recorded
+from pictured import embedded, recorded, two_faults
 
 from torchmesh import MeshBatch, improve, quality, report_page
 
@@ -38,10 +38,15 @@ class Look:
         self.trouble: list[str] = []
         self.requests: list[str] = []
         self.page.on("pageerror", lambda error: self.trouble.append(str(error)))
-        self.page.on("console", lambda message: self.trouble.append(message.text))
+        self.page.on("console", self.hear)
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.goto(path.as_uri())
         self.page.wait_for_selector("html[data-state]")
+
+    def hear(self, message) -> None:
+        """What the browser says, but for its advice on tests that read pixels."""
+        if "willReadFrequently" not in message.text:
+            self.trouble.append(message.text)
 
     def rest(self) -> None:
         """Wait until what was asked for is painted, edges included: they follow when nothing moves any more."""
@@ -59,14 +64,19 @@ class Look:
         return self.page.inner_text("#details")
 
     def vermilion(self, canvas: str = "canvas") -> int:
-        """How many pixels of a canvas have the colour of inverted triangles."""
+        """How many pixels of a canvas have a colour of inverted triangles: vermilion, or that of its stripes."""
+        return self.pixels("#d55e00", canvas) + self.pixels("#7f3200", canvas)
+
+    def pixels(self, colour: str, canvas: str = "canvas") -> int:
+        """How many pixels of a canvas have this colour."""
         self.rest()
         return self.page.evaluate(
-            """(id) => { const c = document.getElementById(id);
+            """([id, colour]) => { const c = document.getElementById(id);
             const p = c.getContext("2d").getImageData(0, 0, c.width, c.height).data; let n = 0;
-            for (let i = 0; i < p.length; i += 4) n += p[i] === 0xd5 && p[i + 1] === 0x5e && p[i + 2] === 0;
+            const [r, g, b] = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+            for (let i = 0; i < p.length; i += 4) n += p[i] === r && p[i + 1] === g && p[i + 2] === b;
             return n; }""",
-            canvas,
+            [canvas, colour],
         )
 
 
@@ -151,7 +161,9 @@ def test_wheel_drag_and_buttons_move_the_view(look):
     box = look.page.locator("#canvas").bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     look.page.mouse.move(*middle)
+    look.page.keyboard.down("Control")
     look.page.mouse.wheel(0, -300)
+    look.page.keyboard.up("Control")
     assert look.view()[:2] == pytest.approx([x, y], rel=1e-2)
     assert look.view()[2] > 1.3 * scale
     before = look.view()
@@ -262,3 +274,130 @@ def test_a_browser_that_is_too_old_says_so(browser, written):
     assert "too old" in opened.inner_text("#trouble")
     assert opened.is_visible("table")
     context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 900, 1600])
+def test_nothing_lies_beside_the_screen_in_both_schemes(browser, written, width, scheme):
+    look = Look(browser, written, viewport={"width": width, "height": 900}, color_scheme=scheme)
+    wide = "[...document.querySelectorAll('.table, #places, body')].every((e) => e.scrollWidth <= e.clientWidth + 1)"
+    assert look.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert look.page.evaluate(wide)
+    # Text stands out from the page: light on dark, or dark on light.
+    ink, paper = (
+        look.page.evaluate(f"getComputedStyle(document.documentElement).{what}")
+        for what in ("color", "backgroundColor")
+    )
+    brightness = [sum(map(int, re.findall(r"\d+", colour)[:3])) for colour in (ink, paper)]
+    assert (brightness[0] > brightness[1] + 350) == (scheme == "dark")
+    assert abs(brightness[0] - brightness[1]) > 350
+    corner = look.page.evaluate(
+        "[...document.getElementById('canvas').getContext('2d').getImageData(2, 2, 1, 1).data].slice(0, 3)"
+    )
+    assert (sum(corner) < 150) == (scheme == "dark")
+    assert look.trouble == []
+    look.context.close()
+
+
+def test_hovering_tells_row_and_quality(look):
+    look.page.click("#worst")
+    text = look.details()
+    box = look.page.locator("#canvas").bounding_box()
+    look.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    look.page.wait_for_selector("#tip:not([hidden])")
+    row, ratio = re.match(r"Triangle (\d+) .*inverse mean ratio ([\d.]+)", text).groups()
+    assert look.page.inner_text("#tip") == f"triangle {row}, IMR {ratio}"
+    look.page.mouse.move(box["x"] + box["width"] / 2, box["y"] - 60)
+    look.page.wait_for_selector("#tip[hidden]", state="attached")
+
+
+def test_a_wheel_scrolls_the_page_past_the_picture(look):
+    before = look.view()
+    look.page.set_viewport_size({"width": 900, "height": 500})
+    look.rest()
+    before = look.view()
+    look.page.locator("#canvas").scroll_into_view_if_needed()
+    box = look.page.locator("#canvas").bounding_box()
+    start = look.page.evaluate("scrollY")
+    look.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    look.page.mouse.wheel(0, 200)
+    for _ in range(40):
+        if look.page.evaluate("scrollY") > start + 100:
+            break
+        look.page.wait_for_timeout(50)
+    assert look.page.evaluate("scrollY") > start + 100
+    assert look.view() == before
+
+
+def test_two_fingers_scroll_the_page_and_a_pinch_zooms(browser, written):
+    look = Look(browser, written, viewport={"width": 390, "height": 600}, is_mobile=True, has_touch=True)
+    look.page.locator("#canvas").scroll_into_view_if_needed()
+    box = look.page.locator("#canvas").bounding_box()
+    session = look.context.new_cdp_session(look.page)
+
+    def touch(kind: str, *points: tuple[float, float]) -> None:
+        places = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    before, start = look.view(), look.page.evaluate("scrollY")
+    touch("touchStart", (x - 40, y), (x + 40, y))
+    for k in range(1, 11):
+        touch("touchMove", (x - 40, y - 10 * k), (x + 40, y - 10 * k))
+    touch("touchEnd")
+    assert look.page.evaluate("scrollY") > start + 50
+    assert look.view() == before
+    box = look.page.locator("#canvas").bounding_box()
+    y = box["y"] + box["height"] / 2
+    touch("touchStart", (x - 30, y), (x + 30, y))
+    for k in range(1, 11):
+        touch("touchMove", (x - 30 - 8 * k, y), (x + 30 + 8 * k, y))
+    touch("touchEnd")
+    assert look.view()[2] > 1.3 * before[2]
+    look.context.close()
+
+
+def test_inverted_triangles_are_hatched(look):
+    """In grey they are told by stripes: vermilion and dark, which no upright triangle has."""
+    look.page.focus("#stage")
+    look.page.keyboard.press("Home")
+    look.page.click("#worst")
+    look.rest()
+    stripes, between = look.pixels("#7f3200"), look.pixels("#d55e00")
+    assert stripes > 0.2 * between > 20
+    assert between > 0.2 * stripes > 20
+
+
+def test_places_that_are_left_are_gone_to(browser, tmp_path):
+    mesh = two_faults()
+    report_page(tmp_path / "left.html", [("before", mesh), ("after", mesh)])
+    look = Look(browser, tmp_path / "left.html")
+    whole = look.view()
+    look.page.click("button[data-place='1']")
+    near = look.view()
+    assert near[2] > 1.5 * whole[2]
+    look.page.click("button[data-place='0']")
+    assert look.view()[:2] != near[:2]
+    assert look.trouble == []
+    look.context.close()
+
+
+def test_interfaces_are_drawn_otherwise_than_edges(browser, tmp_path):
+    mesh = meshes.dragged_interface()
+    assert len(mesh.constrained_edges)
+    bare = MeshBatch.from_arrays(mesh.points, mesh.triangles)
+    pale = []
+    for name, one in (("with", mesh), ("without", bare)):
+        report_page(tmp_path / f"{name}.html", [("mesh", one)])
+        look = Look(browser, tmp_path / f"{name}.html")
+        look.rest()
+        pale.append(
+            look.page.evaluate(
+                """() => { const c = document.getElementById("canvas");
+            const p = c.getContext("2d").getImageData(0, 0, c.width, c.height).data; let n = 0;
+            for (let i = 0; i < p.length; i += 4) n += p[i] < 40 && p[i + 1] < 40 && p[i + 2] < 40;
+            return n; }"""
+            )
+        )
+        look.context.close()
+    assert pale[0] > pale[1] + 100

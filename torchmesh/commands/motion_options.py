@@ -112,7 +112,7 @@ class Follower:
         """From what follows `--rigid`; raises UsageError."""
         option = f"--rigid {text}"
         words = text.split(":")
-        if len(words) < (3 if words[0] in ("outer", "hole") else 2):
+        if len(words) < (3 if _is_loop(words) else 2):
             raise UsageError(f"{option}: expected hole:N:DISTANCE or NAME:DISTANCE or X0,Y0,X1,Y1:DISTANCE")
         distance = _numbers(option, words[-1], 1)[0]
         if not distance > 0:
@@ -153,7 +153,7 @@ class Shift:
         """From what follows `--move`; raises UsageError."""
         option = f"--move {text}"
         words = text.split(":")
-        if len(words) < (3 if words[0] in ("outer", "hole") else 2):
+        if len(words) < (3 if _is_loop(words) else 2):
             raise UsageError(f"{option}: expected hole:N:DX,DY or NAME:DX,DY or X0,Y0,X1,Y1:DX,DY")
         return cls(Part.of(option, words[:-1]), _numbers(option, words[-1], 2, 3))
 
@@ -185,7 +185,7 @@ class Turn:
         option = f"--rotate {text}"
         words = text.split(":")
         named, centre = _with_centre(words)
-        if not named[:-1] or (len(named) == 2 and words[0] in ("outer", "hole")):
+        if not named[:-1] or (len(named) == 2 and _is_loop(words)):
             raise UsageError(
                 f"{option}: expected hole:N:DEG or NAME:DEG or X0,Y0,X1,Y1:DEG, and :X,Y for another centre"
             )
@@ -223,7 +223,7 @@ class Scale:
         option = f"--scale {text}"
         words = text.split(":")
         named, centre = _with_centre(words)
-        if not named[:-1] or (len(named) == 2 and words[0] in ("outer", "hole")):
+        if not named[:-1] or (len(named) == 2 and _is_loop(words)):
             raise UsageError(
                 f"{option}: expected hole:N:FACTOR or NAME:FACTOR or X0,Y0,X1,Y1:FACTOR, and :X,Y for another centre"
             )
@@ -253,11 +253,16 @@ class Scale:
 
 def _with_centre(words: list[str]) -> tuple[list[str], tuple[float, ...] | None]:
     """The words before a centre X,Y, and the centre; None where the last two words are not a number and a point."""
-    if words[0] in ("outer", "hole") and len(words) < 4:
+    if _is_loop(words) and len(words) < 4:
         return words, None
     if len(words) > 2 and "," in words[-1] and _is_numbers(words[-1]) and _is_numbers(words[-2]):
         return words[:-1], tuple(float(word) for word in words[-1].split(","))
     return words, None
+
+
+def _is_loop(words: list[str]) -> bool:
+    """Do the words begin with the name of a loop, as hole:1?"""
+    return words[0] in ("outer", "hole") and len(words) > 1 and words[1].isdigit()
 
 
 def _is_numbers(text: str) -> bool:

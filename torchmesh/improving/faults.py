@@ -41,6 +41,13 @@ def find_faults(state: State, run: Runner, o: ImproveOptions) -> State:
     return run.quietly("diagnose", partial(_with_faults, o=o), state, state.tangled)
 
 
+def faults_of(mesh: MeshBatch) -> "list[Problem]":
+    """The faults of meshes that triangulation cannot mend, whose places are to be marked; few for each mesh."""
+    from ..diagnosing.diagnosis import diagnose
+
+    return diagnose(mesh, "flip")
+
+
 def end_the_tangled(state: State, run: Runner, o: ImproveOptions) -> State:
     """Say how meshes end that are still tangled: impossible, mended but for the faults that were named, or stalled."""
     left, fewer = state.tangled, state.quality.inverted < state.inverted_given

@@ -4,6 +4,7 @@ matplotlib is the extra `plot` and is imported inside the functions; figures are
 that nothing global is changed.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,16 @@ from ..errors import MissingDependencyError
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
 from . import palette
+from .places import Place
 from .regions import Box, corner_points, of_elements, view_of
 
 # Sizes in typographic points (1/72 inch).  Edges: their width as a part of a triangle's size, and its limits.
 _EDGE_PART, _THINNEST, _THICKEST = 0.05, 0.03, 0.7
 # Triangles smaller than this have edges of their own colour, and the colours say more than lines would.
 _NO_EDGES_BELOW = 1.5
-# Inverted triangles: with a dark outline where triangles are larger than this; with a dot if smaller than that.
+# Inverted triangles: a dark outline where triangles are larger than this, a dot where smaller than that; hatched.
 _DARK_OUTLINE_ABOVE, _DOT_BELOW = 15.0, 3.0
+_HATCHED_ABOVE = 6.0
 _DOT_SMALLEST, _DOT_LARGEST = 0.8, 3.0
 # The part of a picture that the dots may cover: the mesh must still be seen between them.
 _COVERED = 0.2
@@ -61,6 +64,7 @@ def plot_mesh(
     size = per_unit * (high - low).max(1)
     typical = float(np.median(size[shown])) if shown.any() else 1.0
     fill = _fill(ax, shape[good], ratio[good], typical)
+    _draw_interfaces(ax, mesh, typical)
     _mark_inverted(ax, shape[bad], typical)
     small = bad & (size < _DOT_BELOW)
     if small.any():
@@ -91,27 +95,55 @@ def _fill(ax: Any, shape: Any, ratio: np.ndarray, typical: float) -> Any:
     return fill
 
 
+def _draw_interfaces(ax: Any, mesh: MeshBatch, typical: float) -> None:
+    """Constrained edges: dashes on a pale line, thinner where triangles of `typical` size leave less room."""
+    from matplotlib.collections import LineCollection
+
+    if not len(mesh.constrained_edges):
+        return
+    ends = mesh.points.detach().cpu().double().numpy()[mesh.constrained_edges.cpu().numpy()]
+    width = float(np.clip(typical / 8, 0.35, 1.3))
+    for colour, factor, style in ((palette.INTERFACE_PALE, 2.0, "-"), (palette.INTERFACE, 1.0, (0, (3, 2)))):
+        lines = LineCollection(ends, colors=colour, linewidths=factor * width, linestyles=[style], zorder=2.5)
+        lines.set_rasterized(True)
+        ax.add_collection(lines, autolim=False)
+
+
+def mark_places(ax: Any, places: Sequence[Place]) -> None:
+    """Red rings with numbers round the places at which something is left."""
+    for number, place in enumerate(places, 1):
+        for colour, width in (("white", 3.2), (palette.FRAME, 1.6)):
+            ax.plot(*place.position, "o", markersize=13, markerfacecolor="none", markeredgecolor=colour,
+                    markeredgewidth=width, zorder=6)  # fmt: skip
+        ax.annotate(str(number), place.position, xytext=(0, 9), textcoords="offset points", ha="center", va="bottom",
+                    color=palette.FRAME, fontsize=9, weight="bold", zorder=7, annotation_clip=True)  # fmt: skip
+
+
 def _mark_inverted(ax: Any, shape: Any, typical: float) -> None:
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgb
 
     # Where there is room, the outline shows each triangle; where not, at least the line that a sliver is.
     outline = palette.INVERTED_OUTLINE if typical > _DARK_OUTLINE_ABOVE else palette.INVERTED
+    # Hatched where there is room, which tells them in grey.
     marks = PolyCollection(
         shape,
+        hatch="/////" if typical > _HATCHED_ABOVE else None,
         facecolors=(*to_rgb(palette.INVERTED), 0.75),
         edgecolors=outline,
         linewidths=max(0.8, _line_width(typical)),
         zorder=3,
         rasterized=True,
     )
+    marks.set_hatch_linewidth(0.5)
     ax.add_collection(marks, autolim=False)
 
 
 def _mark_small(ax: Any, centre: np.ndarray, room: float) -> None:
     """A dot at each centre (N, 2); dots are smaller where there are many in a picture of `room` square points."""
     size = float(np.clip(np.sqrt(_COVERED * room / len(centre)), _DOT_SMALLEST, _DOT_LARGEST))
-    ax.plot(*centre.T, "o", markersize=size, color=palette.INVERTED, markeredgewidth=0, zorder=4, rasterized=True)
+    ax.plot(*centre.T, "o", markersize=size, color=palette.INVERTED, markeredgecolor=palette.INVERTED_OUTLINE,
+            markeredgewidth=min(0.5, size / 4), zorder=4, rasterized=True)  # fmt: skip
 
 
 def _line_width(typical: float) -> float:

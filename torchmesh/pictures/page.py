@@ -31,7 +31,8 @@ from ..mesh.quads import halved
 from . import histograms, palette
 from .captions import quality_in_words
 from .page_data import CODES_A_DOUBLING, INFINITE_CODE, encode
-from .page_tables import numbers_table, series_section, steps_table
+from .page_tables import numbers_table, places_list, series_section, steps_table
+from .places import places_left
 from .svg_histogram import svg_histogram
 
 # The picture has at most so many triangles, those of all its stages together: about 10 MB.
@@ -72,6 +73,8 @@ def report_page(
         [len(mesh.triangles) + 2 * len(mesh.quads) for _, mesh in stages], [int(q.inverted[0]) for q in measured]
     )
     header, data = _picture(stages, measured, labels, shown)
+    places = places_left(stages[-1][1], measured[-1]) if len(stages) > 1 or report is not None else []
+    header["places"] = [[*place.position, place.size] for place in places]
     names = ("before", "after") if len(stages) > 1 else ("mesh", "mesh")
     summary = [_summary(names, stages, measured), *([_outcome(report)] if report else []), *([note] if note else [])]
     text = Template(_asset("page.html")).substitute(
@@ -83,6 +86,7 @@ def report_page(
         histograms=_histograms(stages, measured),
         steps=steps_table(labels, measured, steps, shown),
         series=series_section(series),
+        places=places_list(places),
         footer=f"torchmesh {escape(version('torchmesh-untangle'))}. Inverse mean ratio: 1 for an equilateral triangle, "
         "larger the flatter.",
         # A name may hold "</script>".
@@ -108,7 +112,11 @@ def _picture(
         "outline": palette.INVERTED_OUTLINE,
         "edge": palette.EDGE,
         "boundary": palette.BOUNDARY,
+        "interface": palette.INTERFACE,
+        "interfacePale": palette.INTERFACE_PALE,
         "selected": palette.FRAME,
+        "canvas": palette.LIGHT_CANVAS,
+        "dark": {name: palette.DARK[name] for name in ("canvas", "boundary")},
     }
     header = {
         "colours": colours,

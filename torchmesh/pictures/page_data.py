@@ -1,6 +1,6 @@
 """The stages of a mesh as compact text that a web page can carry: what `report_page` embeds and page_mesh.js reads.
 
-    stage --> positions on a grid (int32), triangles (uint32), quality codes (uint16), inverted flags (bits)
+    stage --> positions on a grid (int32), triangles (uint32), quality codes (uint16), inverted flags (bits), interfaces
           --> difference to the stage before, bytes of equal weight side by side --> deflate --> base64
 
 Most vertices, triangles and shapes are the same from one stage to the next, so that differences are
@@ -35,8 +35,10 @@ class Encoded:
     """What the page needs to show the stages.
 
     header  for JSON: the grid's `origin` and `step` in the mesh's length unit, the `frame` of its plane, and for each
-            stage its `vertices` and `triangles` (counts), and `quads`, of which the last triangles are the halves
-    text    base64 of the deflated arrays, stage by stage: points, triangles, quality codes, inverted flags
+            stage its `vertices`, `triangles` and `interfaces` (counts), and `quads`, of which the last triangles are
+            the halves
+    text    base64 of the deflated arrays, stage by stage: points, triangles, quality codes, inverted flags,
+            ends of interface edges
     """
 
     header: dict[str, Any]
@@ -57,6 +59,7 @@ def encode(stages: Sequence[tuple[MeshBatch, Quality]]) -> Encoded:
             mesh.triangles.cpu().numpy().astype(np.uint32),
             codes(quality.inverse_mean_ratio.cpu().numpy()),
             np.packbits(~quality.upright.cpu().numpy(), bitorder="little"),
+            mesh.constrained_edges.cpu().numpy().astype(np.uint32),
         ]
         for k, array in enumerate(arrays):
             known = before and before[k].shape == array.shape
@@ -71,6 +74,7 @@ def encode(stages: Sequence[tuple[MeshBatch, Quality]]) -> Encoded:
             {
                 "vertices": len(m.points),
                 "triangles": len(m.triangles),
+                "interfaces": len(m.constrained_edges),
                 **({"quads": len(m.quads)} if len(m.quads) else {}),
             }
             for m, _ in stages

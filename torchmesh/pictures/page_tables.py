@@ -1,5 +1,6 @@
 """The tables of the report page as HTML: the mesh before and after, and every stage."""
 
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -9,8 +10,12 @@ from ..improving.report import Step
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality, signed_minimum_angles, signed_narrowest_angles
 from .captions import short
+from .places import Place
 
 _INVERTED = "inverted"
+
+# A table of more columns becomes a list on a narrow screen.
+_NARROW = 3
 
 
 def numbers_table(names: Sequence[str], stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality]) -> str:
@@ -54,6 +59,18 @@ def steps_table(
     return _table(["stage", _INVERTED, "IMR average", "IMR maximum", *costs, ""], rows)
 
 
+def places_list(places: Sequence[Place]) -> str:
+    """The places at which something is left, each with a button that shows it; empty without any."""
+    if not places:
+        return ""
+    rows = [
+        f'<li><button type="button" data-place="{k}">Show</button> {escape(place.text)}</li>'
+        for k, place in enumerate(places)
+    ]
+    head = f"{len(places)} place{'s' if len(places) > 1 else ''} where something is left, marked by red rings"
+    return f'<div id="places"><p class="note">{head}:</p><ol>{"".join(rows)}</ol></div>'
+
+
 def series_section(series: Sequence[tuple[str, Quality, Quality, bool]] | None) -> str:
     """A section with a row for each step of a time series, as for `report_page`; empty without one."""
     if not series:
@@ -91,7 +108,14 @@ def _cell(value: int | float | str, bad: bool = False) -> str:
     return f'<td class="bad">{text}</td>' if bad else f"<td>{text}</td>"
 
 
+def _named_cells(head: Sequence[str], row: str) -> str:
+    """The row with the name of its column in each cell, which narrow screens show beside it."""
+    names = iter(head[1:])
+    return re.sub(r"<td", lambda _: f'<td data-label="{escape(next(names, ""))}"', row)
+
+
 def _table(head: Sequence[str], rows: Sequence[str]) -> str:
     cells = "".join(f'<th scope="col">{escape(name)}</th>' for name in head)
-    body = "".join(rows)
-    return f'<div class="table"><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>'
+    body = "".join(_named_cells(head, row) for row in rows)
+    wide = " wide" if len(head) > _NARROW else ""
+    return f'<div class="table{wide}"><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>'

@@ -1,7 +1,8 @@
 """The colours of every picture: plots, films and the report page show a mesh in the same ones.
 
 One scale serves them all: the inverse mean ratio from 1 (equilateral, pale) to 3 and beyond (dark blue), logarithmic.
-Inverted triangles are vermilion, which readers with any colour vision tell from blue.
+Inverted triangles are vermilion, which readers with any colour vision tell from blue, and hatched, which tells them
+in grey.  What is left of faults at places is marked by numbers in red rings.
 """
 
 # ColorBrewer's YlGnBu of nine classes (C. A. Brewer), from the best shape to the worst.
@@ -24,9 +25,15 @@ BEFORE = "#8c8c8c"
 BEFORE_OPACITY = 0.55
 AFTER = "#0072b2"
 
-# The edges of triangles, and those at the boundary.
+# The edges of triangles, those at the boundary, and those of interfaces, which are dashed over a pale line.
 EDGE = "#404d59"
 BOUNDARY = "#303840"
+INTERFACE = "#111111"
+INTERFACE_PALE = "#ffffff"
+
+# The page in the dark: its background, that of the picture, the boundary, and what else must stand out from them.
+DARK = {"canvas": "#15191d", "boundary": "#c3ccd4", "after": "#56b4e9", "inverted-text": "#ff9a4d", "before": "#a3a3a3"}
+LIGHT_CANVAS = "#ffffff"
 
 # The rectangle of a close-up, and the outline of a selected triangle.
 FRAME = "#cc0000"
@@ -44,4 +51,6 @@ def css() -> str:
         "after": AFTER,
         "shapes": ",".join(SHAPES),
     }
-    return ":root {" + " ".join(f" --{name}: {value};" for name, value in variables.items()) + " }\n"
+    light = ":root {" + " ".join(f" --{name}: {value};" for name, value in variables.items()) + " }\n"
+    dark = " ".join(f"--{name}: {DARK[name]};" for name in ("after", "inverted-text", "before"))
+    return f"{light}@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n"

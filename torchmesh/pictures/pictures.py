@@ -9,7 +9,8 @@ from ..mesh.batch import MeshBatch
 from ..mesh.measure import quality as measure
 from . import histograms
 from .captions import panel_title
-from .mesh_plot import plot_mesh, require_matplotlib
+from .mesh_plot import mark_places, plot_mesh, require_matplotlib
+from .places import places_left
 from .regions import Box, shaped, view_of, within, worst_region
 from .sheet import Sheet
 
@@ -42,15 +43,20 @@ def before_after(path: str | os.PathLike[str], before: MeshBatch, after: MeshBat
     view = view_of(before, after)
     sheet = Sheet(view, rows=2, title=title, histograms=True)
     measured = [measure(before), measure(after)]
+    places = places_left(after, measured[1])
     close_up = within(worst_region(before, measured[0], sheet.heights[1] / sheet.panel[0]), view)
     fill = None
     for column, (name, mesh, q) in enumerate(zip(("before", "after"), (before, after), measured, strict=True)):
         ax = sheet.axes(0, column)
         fill = plot_mesh(ax, mesh, q, view, frame=close_up)
         ax.set_title(panel_title(f"{name}:", q, sheet.panel[0]), fontsize=10)
+        if column:
+            mark_places(ax, places)
         ax = sheet.axes(1, column)
         plot_mesh(ax, mesh, q, close_up)
         ax.set_title(f"{name}, close-up (red rectangle)", fontsize=10)
+        if column:
+            mark_places(ax, places)
     sheet.colour_bar(fill)
     histograms.draw(sheet.axes(2, 0), histograms.shapes(*measured), legend=True)
     histograms.draw(sheet.axes(2, 1), histograms.angles(before, after, *measured))

@@ -65,6 +65,9 @@ class Sheet:
         left = _LEFT + column * (self.panel[0] + _GAP_X)
         ax = self._add(left, self._floor(row), self.panel[0], self.heights[row])
         ax.tick_params(labelsize=8)
+        # A label takes half an inch at most; more of them would overlap.
+        ax.locator_params(axis="x", nbins=max(2, min(8, int(self.panel[0] / 0.55))))
+        ax.locator_params(axis="y", nbins=max(2, min(8, int(self.heights[row] / 0.4))))
         ax.set_xlabel(f"x ({_UNIT})", fontsize=9)
         ax.set_ylabel(f"y ({_UNIT})" if column == 0 else "y", fontsize=9)
         return ax

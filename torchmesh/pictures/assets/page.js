@@ -10,6 +10,13 @@
   // A mesh of more triangles is painted without edges while in motion.
   const LIGHT = 20000;
 
+  const inTheDark = matchMedia("(prefers-color-scheme: dark)");
+  const colours = () => (inTheDark.matches ? { ...header.colours, ...header.colours.dark } : header.colours);
+  // Places in steps of the grid; they are those of the last stage.
+  const marks = header.places.map(([x, y, size]) => [
+    (x - header.origin[0]) / header.step, (y - header.origin[1]) / header.step, size / header.step,
+  ]);
+
   function trouble(text) {
     at("trouble").hidden = false;
     at("trouble").textContent = text;
@@ -57,6 +64,16 @@
     select(t);
   }
 
+  function goToPlace(k) {
+    if (state.stage !== stages.length - 1) setStage(stages.length - 1);
+    const canvas = at("canvas"), [x, y, size] = marks[k];
+    view.x = x;
+    view.y = y;
+    view.scale = (0.2 * Math.min(canvas.width, canvas.height)) / Math.max(size, 0.02 * extent.size);
+    canvas.scrollIntoView({ block: "nearest" });
+    moved();
+  }
+
   const current = () => prepare(stages[state.stage]);
   const before = () => prepare(stages[0]);
   // The stage that the selected triangle was picked in: a row may stand for other vertices after flips.
@@ -90,7 +107,8 @@
       const stage = canvas.id === "canvas" ? current() : before();
       root.dataset.seen = paint(canvas, stage, view, {
         shade,
-        colours: header.colours,
+        colours: colours(),
+        places: stage === stages[stages.length - 1] ? marks : [],
         edges: !state.moving || stage.count <= LIGHT,
         selected: showsSelected(stage) ? state.selected : -1,
       });
@@ -179,6 +197,24 @@
     return `(${(flat ? xyz.slice(0, 2) : xyz).map((v) => Number(v.toPrecision(7))).join(", ")})`;
   }
 
+  function ratioText(stage, t) {
+    const code = stage.codes[t], value = 2 ** (code / header.codesADoubling);
+    return code === header.infiniteCode ? "infinite" : code === header.infiniteCode - 1 ? `over ${value.toPrecision(2)}` : value.toPrecision(4);
+  }
+
+  // The triangle under the pointer, beside it: its row and quality.
+  function tell(canvas, event, spot) {
+    const tip = at("tip"), { x, y } = spot(event);
+    const t = pick(canvas, x, y);
+    tip.hidden = t < 0;
+    if (t < 0) return;
+    const stage = canvas.id === "canvas" ? current() : before();
+    tip.textContent = `triangle ${t}${isInverted(stage, t) ? ", inverted" : ""}, IMR ${ratioText(stage, t)}`;
+    const room = document.documentElement.clientWidth - tip.offsetWidth - 4;
+    tip.style.left = `${scrollX + Math.max(4, Math.min(event.clientX + 14, room))}px`;
+    tip.style.top = `${scrollY + event.clientY + 18}px`;
+  }
+
   function describe() {
     const box = at("details"), t = state.selected;
     if (t < 0) {
@@ -186,9 +222,7 @@
       box.textContent = "Click a triangle for its row and shape.";
       return;
     }
-    const stage = described(), shape = cornersOf(stage, t), bad = isInverted(stage, t), code = stage.codes[t];
-    const value = 2 ** (code / header.codesADoubling);
-    const ratio = code === header.infiniteCode ? "infinite" : code === header.infiniteCode - 1 ? `over ${value.toPrecision(2)}` : value.toPrecision(4);
+    const stage = described(), shape = cornersOf(stage, t), bad = isInverted(stage, t), ratio = ratioText(stage, t);
     const vertices = [0, 1, 2].map((k) => stage.corners[3 * t + k]).map((v) => `${v} ${position(stage.points, v)}`);
     box.className = bad ? "bad" : "";
     box.textContent =
@@ -218,6 +252,10 @@
         at("canvas").scrollIntoView({ block: "center" });
       });
     }
+    for (const button of document.querySelectorAll("button[data-place]")) {
+      button.addEventListener("click", () => goToPlace(Number(button.dataset.place)));
+    }
+    inTheDark.addEventListener("change", repaint);
     for (const canvas of [at("canvas"), at("canvas-before")]) {
       canvas.addEventListener("keydown", keys);
       listenToPointers(canvas);
@@ -248,7 +286,11 @@
 
   function listenToPointers(canvas) {
     const down = new Map();
-    let travelled = 0;
+    let travelled = 0, pinched = false, start = 0, waiting = null;
+    const hover = (event) => {
+      if (!waiting) requestAnimationFrame(() => { tell(canvas, waiting, spot); waiting = null; });
+      waiting = event;
+    };
     const spot = (event) => {
       const box = canvas.getBoundingClientRect();
       return { x: (event.clientX - box.left - 1) * devicePixelRatio, y: (event.clientY - box.top - 1) * devicePixelRatio };
@@ -256,25 +298,38 @@
     canvas.addEventListener("pointerdown", (event) => {
       if (event.button) return;
       canvas.setPointerCapture(event.pointerId);
-      if (!down.size) travelled = 0;
+      if (!down.size) { travelled = 0; pinched = false; start = 0; }
       down.set(event.pointerId, spot(event));
     });
     canvas.addEventListener("pointermove", (event) => {
       const old = down.get(event.pointerId);
-      if (!old) return;
+      if (!old) {
+        if (event.pointerType !== "touch") hover(event);
+        return;
+      }
+      at("tip").hidden = true;
       const now = spot(event);
       const others = [...down].filter(([id]) => id !== event.pointerId).map(([, p]) => p);
       travelled += Math.hypot(now.x - old.x, now.y - old.y) + (others.length ? 100 : 0);
       if (others.length) {
         const [other] = others;
-        const before = Math.hypot(old.x - other.x, old.y - other.y), after = Math.hypot(now.x - other.x, now.y - other.y);
-        pan((now.x - old.x) / 2, (now.y - old.y) / 2);
-        if (before > 0) zoom(after / before, (now.x + other.x) / 2, (now.y + other.y) / 2);
+        const apart = Math.hypot(now.x - other.x, now.y - other.y);
+        start = start || Math.hypot(old.x - other.x, old.y - other.y);
+        pinched = pinched || Math.abs(apart - start) > 24 * devicePixelRatio;
+        if (pinched) {
+          const before = Math.hypot(old.x - other.x, old.y - other.y);
+          pan((now.x - old.x) / 2, (now.y - old.y) / 2);
+          if (before > 0) zoom(apart / before, (now.x + other.x) / 2, (now.y + other.y) / 2);
+        } else if (down.size === 2) {
+          // Two fingers that go side by side scroll the page past the picture.  Each reports half of the way.
+          scrollBy(0, (old.y - now.y) / 2 / devicePixelRatio);
+        }
       } else if (travelled > 5 * devicePixelRatio) {
         pan(now.x - old.x, now.y - old.y);
       }
       down.set(event.pointerId, now);
     });
+    canvas.addEventListener("pointerleave", () => { at("tip").hidden = true; });
     canvas.addEventListener("pointerup", (event) => {
       const { x, y } = spot(event);
       if (down.delete(event.pointerId) && !down.size && travelled <= 5 * devicePixelRatio) {
@@ -282,10 +337,13 @@
       }
     });
     canvas.addEventListener("pointercancel", (event) => down.delete(event.pointerId));
+    // A wheel, and two fingers on a trackpad, scroll the page; with Ctrl, and by pinching, they zoom.
     canvas.addEventListener("wheel", (event) => {
+      at("tip").hidden = true;
+      if (!event.ctrlKey && !event.metaKey) return;
       event.preventDefault();
       const { x, y } = spot(event);
-      zoom(Math.exp(-event.deltaY * (event.deltaMode === 1 ? 0.05 : 0.0015)), x, y);
+      zoom(Math.exp(-event.deltaY * (event.deltaMode === 1 ? 0.05 : event.ctrlKey && Math.abs(event.deltaY) < 50 ? 0.01 : 0.0015)), x, y);
     }, { passive: false });
   }
 

@@ -26,12 +26,14 @@ function unpack(header, bytes) {
   };
   const stages = [];
   let last = {};
-  for (const { vertices, triangles, quads, name, label } of header.stages) {
+  for (const { vertices, triangles, quads, interfaces, name, label } of header.stages) {
     const grid = take(Uint32Array, 2 * vertices, last.grid);
     const corners = take(Uint32Array, 3 * triangles, last.corners);
     const codes = take(Uint16Array, triangles, last.codes);
     const flags = take(Uint8Array, (triangles + 7) >> 3, last.flags);
-    last = { name, label, grid, corners, codes, flags, count: triangles, whole: triangles - 2 * (quads || 0) };
+    const walls = take(Uint32Array, 2 * interfaces, last.walls);
+    const whole = triangles - 2 * (quads || 0);
+    last = { name, label, grid, corners, codes, flags, walls, count: triangles, whole };
     stages.push(last);
   }
   return stages;
@@ -128,8 +130,9 @@ function colourScale({ colours, worstShown, codesADoubling }, shades = 64) {
   return (code) => ramp[Math.min(shades - 1, Math.floor((code / top) * shades))];
 }
 
-// All pixels whose centres lie inside, row by row; neighbours share no pixel and leave none out.
-function fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, colour) {
+// All pixels whose centres lie inside, row by row; neighbours share no pixel and leave none out.  With a period, every
+// so many pixels slanting stripes have another colour, a third as wide as the period.
+function fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, colour, stripe = colour, period = 0) {
   let s;
   if (by < ay) { s = ax; ax = bx; bx = s; s = ay; ay = by; by = s; }
   if (cy < by) { s = bx; bx = cx; cx = s; s = by; by = cy; cy = s; }
@@ -141,7 +144,8 @@ function fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, colour) {
     const q = line < by ? ax + ((bx - ax) * (line - ay)) / (by - ay) : bx + ((cx - bx) * (line - by)) / (cy - by);
     const from = Math.max(0, Math.ceil((p < q ? p : q) - 0.5));
     const to = Math.min(width, Math.ceil((p < q ? q : p) - 0.5));
-    for (let i = y * width + from, end = y * width + to; i < end; i++) pixels[i] = colour;
+    if (!period) for (let i = y * width + from, end = y * width + to; i < end; i++) pixels[i] = colour;
+    else for (let x = from; x < to; x++) pixels[y * width + x] = 3 * ((x + y) % period) < period ? stripe : colour;
   }
 }
 
@@ -179,10 +183,10 @@ function paint(canvas, stage, view, look) {
   }
   const { pixels } = canvas, { corners, codes, count } = stage;
   const screen = toScreen(stage.points, view, width, height);
-  const dot = 2.5 * view.ratio, vermilion = pixel(rgb(look.colours.inverted));
+  const dot = 2.5 * view.ratio, vermilion = pixel(rgb(look.colours.inverted)), dark = pixel(rgb(look.colours.outline));
   const small = [], large = [];
   let seen = 0, sizes = 0;
-  pixels.fill(-1);
+  pixels.fill(pixel(rgb(look.colours.canvas)));
   for (let t = 0; t < count; t++) {
     const a = 2 * corners[3 * t], b = 2 * corners[3 * t + 1], c = 2 * corners[3 * t + 2];
     const ax = screen[a], ay = screen[a + 1], bx = screen[b], by = screen[b + 1], cx = screen[c], cy = screen[c + 1];
@@ -197,7 +201,7 @@ function paint(canvas, stage, view, look) {
   const many = small.length + large.length > OUTLINED;
   for (const t of large) {
     const [ax, ay, bx, by, cx, cy] = cornersOf({ points: screen, corners }, t);
-    fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, vermilion);
+    fillTriangle(pixels, width, height, ax, ay, bx, by, cx, cy, vermilion, dark, Math.round(7 * view.ratio));
     if (!many) continue;
     drawLine(pixels, width, height, ax, ay, bx, by, vermilion);
     drawLine(pixels, width, height, bx, by, cx, cy, vermilion);
@@ -207,6 +211,8 @@ function paint(canvas, stage, view, look) {
   const radius = Math.max(0.5, Math.min(dot, Math.sqrt((0.05 * width * height) / (small.length + 1))));
   for (const t of small) {
     const [ax, ay, bx, by, cx, cy] = cornersOf({ points: screen, corners }, t);
+    // With a dark rim, where there is room for one: it tells them in grey.
+    if (radius > 1.5) drawDot(pixels, width, height, (ax + bx + cx) / 3, (ay + by + cy) / 3, radius + view.ratio, dark);
     drawDot(pixels, width, height, (ax + bx + cx) / 3, (ay + by + cy) / 3, radius, vermilion);
   }
   context.putImageData(canvas.image, 0, 0);
@@ -216,7 +222,16 @@ function paint(canvas, stage, view, look) {
     strokeEdges(context, screen, stage.inner, `rgba(${rgb(look.colours.edge)},${opacity})`, view.ratio * Math.min(1, edge / (10 * dense) + 0.4));
   }
   strokeEdges(context, screen, stage.boundary, look.colours.boundary, 1.2 * view.ratio);
+  const fine = view.ratio * Math.min(1, Math.max(0.4, edge / (16 * view.ratio)));
+  strokeEdges(context, screen, stage.walls, look.colours.interfacePale, 3.6 * fine);
+  context.setLineDash([5 * fine, 4 * fine]);
+  strokeEdges(context, screen, stage.walls, look.colours.interface, 1.8 * fine);
+  context.setLineDash([]);
   if (!many) strokeTriangles(context, screen, corners, large, look.colours.outline, 1.5 * view.ratio);
+  look.places.forEach(([x, y, size], k) => {
+    const at = toScreen([x, y], view, width, height);
+    place(context, at[0], at[1], (size * view.scale) / 2, k + 1, view.ratio, look.colours.selected);
+  });
   if (look.selected >= 0) ring(context, screen, corners, look.selected, view.ratio, look.colours.selected);
   return seen;
 }
@@ -271,4 +286,24 @@ function ring(context, screen, corners, t, ratio, colour) {
   context.beginPath();
   context.arc(x, y, 24 * ratio, 0, 2 * Math.PI);
   context.stroke();
+}
+
+// A place where something is left: a red ring with its number, wide enough to be found and round what is there.
+function place(context, x, y, half, number, ratio, colour) {
+  const radius = Math.max(13 * ratio, half + 6 * ratio);
+  for (const [thickness, shade] of [[5, "#fff"], [2.5, colour]]) {
+    context.strokeStyle = shade;
+    context.lineWidth = thickness * ratio;
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.stroke();
+  }
+  context.font = `bold ${13 * ratio}px system-ui, sans-serif`;
+  context.textAlign = "center";
+  context.lineWidth = 4 * ratio;
+  context.strokeStyle = "#fff";
+  const above = y - radius - 5 * ratio > 14 * ratio ? y - radius - 5 * ratio : y + radius + 15 * ratio;
+  context.strokeText(number, x, above);
+  context.fillStyle = colour;
+  context.fillText(number, x, above);
 }
