@@ -11,7 +11,8 @@ A *family* is a kind of domain with a kind of motion:
     onto     a disc laid onto the outline of a letter or a spiral
 
 Every undeformed mesh is valid by exact signs; its inverse mean ratio is at most MAX_MEAN on average and MAX_WORST in
-its worst triangle.  The boundary of every deformed mesh is simple, so a valid mesh exists.
+its worst triangle; with so few triangles that narrow parts are coarse, at most MAX_MEAN_COARSE on average.  The
+boundary of every deformed mesh is simple, so a valid mesh exists.
 """
 
 import itertools
@@ -29,12 +30,13 @@ from ..files.mesh_files import read
 from ..mesh.batch import MeshBatch, join
 from ..mesh.measure import quality
 from ..warping.femwarp import femwarp
-from .drawing import MAX_MEAN, MAX_WORST, DomainOptions, DrawOptions, draw_domains
+from .drawing import MAX_MEAN, MAX_MEAN_COARSE, MAX_WORST, DomainOptions, DrawOptions, draw_domains
 from .families import FAMILIES
 
 __all__ = [
     "FAMILIES",
     "MAX_MEAN",
+    "MAX_MEAN_COARSE",
     "MAX_WORST",
     "DomainOptions",
     "DrawOptions",

@@ -6,26 +6,31 @@ What is drawn for a domain depends on the seed and on its number alone, so that 
 """
 
 import itertools
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 
-from ..errors import ConvergenceError
+from ..errors import ConvergenceError, MeshWarning
 from ..mesh.batch import MeshBatch, join
 from ..mesh.means import vertex_size
 from ..mesh.measure import quality
 from ..mesh.triangle import corners, signed_area
 from ..optimising.laplacian import cotangent_weights, harmonic_extension
 from ..smoothing.smoothing import SmoothOptions, smooth
-from ..triangulating.mesher import MeshingError, mesh_outline
+from ..triangulating.mesher import MeshingError
 from ..triangulating.polygon import why_not_simple
+from .coarse import WITHIN, mesh_as_asked
 from .families import FAMILIES, Motion, Scene
 
 # The limits of the inverse mean ratio of undeformed meshes: on average, and of the worst triangle.
 MAX_MEAN = 1.06
 MAX_WORST = 3.0
+
+# Instead of MAX_MEAN, where narrow parts have fewer triangles than they should, because so few are asked for.
+MAX_MEAN_COARSE = 1.25
 
 # The purposes that random numbers are drawn for: the domain's shape, a motion.
 _SHAPE, _MOTION = 1, 2
@@ -65,7 +70,9 @@ class DomainOptions:
     families   names out of FAMILIES, taken in turn, domain by domain
     seed       whole number from 0; the same options and seed give the same meshes bit for bit (with the same versions
                of torch, numpy and scipy on the same processor)
-    triangles  wanted for each mesh, met within some percent; domains whose smallest parts need more get more
+    triangles  wanted for each mesh, met within 10 percent; what is further off is told in a `MeshWarning`.  Where the
+               smallest parts of a domain would need more, its mesh is coarser there, and its mean inverse mean ratio at
+               most MAX_MEAN_COARSE
     tangled    the share of meshes that the motion shall tangle, 0 to 1, met evenly along the stream except for the
                few motions that do not tangle however they are drawn: `Moved.inverted` tells
     motions    how many motions of each undeformed mesh follow one another; 1: every domain is new
@@ -109,6 +116,7 @@ class Domain:
     scene           the outline, and how it moves
     mesh            at rest; its first Nb vertices lie on the outline
     loop            (Nb,) the loop of the outline that each of these vertices lies on
+    coarse          whether it has fewer triangles in narrow parts than it should
     """
 
     number: int
@@ -116,6 +124,7 @@ class Domain:
     scene: Scene
     mesh: MeshBatch
     loop: np.ndarray
+    coarse: bool = False
 
     @classmethod
     def draw(cls, options: DomainOptions, number: int, attempt: int) -> "Domain | None":
@@ -126,10 +135,10 @@ class Domain:
         try:
             how = options.drawing
             more = how.more_triangles ** max(0, attempt - how.domain_tries_as_asked)
-            points, triangles, loop = mesh_outline(scene.outline, round(options.triangles * more), rng)
+            (points, triangles, loop), coarse = mesh_as_asked(scene.outline, round(options.triangles * more), rng)
         except MeshingError:
             return None
-        return cls(number, family, scene, MeshBatch.from_arrays(points, triangles), loop)
+        return cls(number, family, scene, MeshBatch.from_arrays(points, triangles), loop, coarse)
 
     def moved(self, options: DomainOptions) -> list[MeshBatch]:
         """The mesh after each of its motions; a motion that does not come out as wished is drawn anew."""
@@ -206,11 +215,13 @@ def draw_domains(options: DomainOptions, numbers: list[int]) -> list[Domain]:
         if some:
             batch, _ = smooth(join([domain.mesh for domain in some]), how.smoothing)
             q = quality(batch)
-            good = (q.inverted == 0) & (q.mean <= MAX_MEAN) & (q.max <= MAX_WORST)
+            limit = q.mean.new_tensor([MAX_MEAN_COARSE if domain.coarse else MAX_MEAN for domain in some])
+            good = (q.inverted == 0) & (q.mean <= limit) & (q.max <= MAX_WORST)
             for domain, mesh, fits in zip(some, batch.split(), good.tolist(), strict=True):
                 if fits:
                     done[domain.number] = replace(domain, mesh=mesh)
         if len(done) == len(numbers):
+            _tell(options, list(done.values()))
             return [done[number] for number in numbers]
     failed = next(number for number in numbers if number not in done)
     raise ConvergenceError(
@@ -218,6 +229,15 @@ def draw_domains(options: DomainOptions, numbers: list[int]) -> list[Domain]:
         f"{how.domain_tries} were drawn and none has a mesh of {options.triangles} triangles "
         f"with an inverse mean ratio of {MAX_MEAN} on average; ask for more triangles"
     )
+
+
+def _tell(options: DomainOptions, domains: list[Domain]) -> None:
+    """Warn of domains that have another number of triangles than was asked for."""
+    for domain in domains:
+        count = len(domain.mesh.triangles)
+        if abs(count / options.triangles - 1) > WITHIN:
+            text = f"domain {domain.number}, family {domain.family!r}, has {count:,} triangles"
+            warnings.warn(MeshWarning(f"{text}; {options.triangles:,} were asked for"), stacklevel=2)
 
 
 def _wished(options: DomainOptions, mesh: int) -> bool:
