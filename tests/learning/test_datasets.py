@@ -100,3 +100,61 @@ def test_collate_goes_into_tuples_and_dicts():
     assert same(result["pair"][0], result["mesh"])
     assert result["pair"][1].shape == (2, 1)
     assert result["n"].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("in_memory", [False, True])
+def test_batches_are_read_at_once_in_any_order(made, paths, in_memory, monkeypatch):
+    dataset = MeshDataset(paths, pairs=True, in_memory=in_memory)
+    numbers = [9, 0, 3, 0, 8]
+    reads = []
+    read = tm.BatchFile.read
+    monkeypatch.setattr(tm.BatchFile, "read", lambda file, rows=None: reads.append(len(rows)) or read(file, rows))
+    pair = dataset[numbers]
+    # Two meshes of the second file and three of the first.
+    assert sorted(reads) == ([] if in_memory else [2, 3])
+    assert same(pair.deformed, made.deformed[numbers])
+    assert same(pair.undeformed, made.undeformed[numbers])
+    assert same(dataset[2:9:3].deformed, made.deformed[2:9:3])
+    loader = DataLoader(dataset, batch_size=5, collate_fn=collate, shuffle=True)
+    sizes = [len(batch.undeformed) for batch in loader]
+    assert sizes == [5, 5]
+
+
+def test_items_know_family_seed_and_domain(tmp_path):
+    from torchmesh.commands.main import main
+    from torchmesh.learning.datasets import InMemoryMeshes, Item
+
+    path = tmp_path / "made.h5"
+    arguments = ["generate", str(path), "--count", "4", "--family", "gate", "--family", "onto", "--triangles", "150"]
+    assert main([*arguments, "--seed", "3", "--motions", "1", "-q"]) == 0
+    dataset = MeshDataset(path, fields=True)
+    item = dataset[[3, 0]]
+    assert isinstance(item, Item)
+    assert item.fields["family"] == ["onto", "gate"]
+    assert (item.fields["seed"].tolist(), item.fields["domain"].tolist()) == ([3, 3], [3, 0])
+    again = next(iter(DataLoader(InMemoryMeshes(item), batch_size=2, collate_fn=collate)))
+    assert same(again.meshes, item.meshes)
+    assert again.fields["family"] == item.fields["family"]
+    joined = collate([dataset[1], dataset[2]])
+    assert joined.fields["family"] == ["onto", "gate"]
+    assert len(joined.meshes) == 2
+
+
+def test_a_graph_has_edges_meshes_and_regions():
+    from meshes import dragged_interface
+
+    batch = tm.join([grid(), dragged_interface(), disc()])
+    found = tm.datasets.graph(batch)
+    edge = {tuple(e) for e in found.edge_index.T.tolist()}
+    assert edge == {(v, u) for u, v in edge}
+    assert len(edge) == found.edge_index.shape[1]
+    assert edge == {e for a, b, c in batch.triangles.tolist() for e in ((a, b), (b, c), (c, a), (b, a), (c, b), (a, c))}
+    assert torch.equal(found.node_mesh.bincount(), batch.point_offsets.diff())
+    faces = found.region.split(batch.triangle_offsets.diff().tolist())
+    assert [sorted(set(part.tolist())) for part in faces] == [[0], [0, 1], [0]]
+    left, right = (
+        batch.triangles[batch.triangle_offsets[1] : batch.triangle_offsets[2]][faces[1] == k] for k in (0, 1)
+    )
+    # The regions share the vertices of the interface, and nothing else.
+    shared = set(left.flatten().tolist()) & set(right.flatten().tolist())
+    assert shared == set(batch.constrained_edges.flatten().tolist())

@@ -49,7 +49,9 @@ def generate(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed and options give the same meshes.")] = 0,
-    triangles: Annotated[int, typer.Option(min=100, help="Triangles of each mesh, about.")] = 2000,
+    triangles: Annotated[
+        int, typer.Option(min=100, help="Triangles of each mesh, met within 10 percent, or a warning says so.")
+    ] = 2000,
     tangled: Annotated[
         float, typer.Option(min=0, max=1, help="The share of meshes that are to have inverted triangles.")
     ] = 0.8,
@@ -64,9 +66,10 @@ def generate(
 ) -> int:
     """Generate random domains in motion: valid meshes whose boundary has moved, most of them tangled.
 
-    OUT.h5 holds the deformed meshes, the undeformed points as point field 'undeformed', and for each mesh its family
-    and number of inverted triangles (in Python: torchmesh.load_batch, load_fields, datasets.MeshDataset). A folder gets
-    files named by number and family, the deformed mesh in each. The exit status is 0 however many are tangled.
+    OUT.h5 holds the deformed meshes, the undeformed points as point field 'undeformed', and for each mesh its family,
+    seed, number of domain and number of inverted triangles (in Python: torchmesh.load_batch, load_fields,
+    datasets.MeshDataset). A folder gets files named by number and family, the deformed mesh in each. The exit status is
+    0 however many are tangled.
     """
     from ..learning.domains import FAMILIES, pairs
 
@@ -125,20 +128,10 @@ class _Log:
 
 def _first(stream: "Iterator[Moved]", count: int, log: _Log) -> "Iterator[Moved]":
     """The first `count` meshes of an endless stream of batches."""
-    import torch
-
-    from ..learning.domains import Moved
-
     for moved in stream:
         surplus = log.meshes + len(moved) - count
         if surplus > 0:
-            keep = torch.arange(len(moved)) < len(moved) - surplus
-            moved = Moved(
-                moved.undeformed.select(keep),
-                moved.deformed.select(keep),
-                moved.inverted[keep],
-                moved.families[: int(keep.sum())],
-            )
+            moved = moved.first(len(moved) - surplus)
         log.add(moved)
         yield moved
         if log.meshes == count:
@@ -154,7 +147,7 @@ def _into_one(target: Path, batches: "Iterator[Moved]") -> None:
             writer.append(
                 moved.deformed,
                 point_fields={"undeformed": moved.undeformed.points},
-                mesh_fields={"family": moved.families, "inverted": moved.inverted},
+                mesh_fields=moved.fields,
             )
 
 

@@ -16,7 +16,6 @@ The triangles and constrained edges of a mesh count its vertices from 0, so that
 """
 
 import contextlib
-import itertools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -57,7 +56,7 @@ _HARMLESS = 1 << 26
 _AT_ONCE, _FACTOR = 1 << 30, 200
 
 # Which meshes of a file: all (None), one by its number, a slice, or numbers in any order.
-Meshes = int | slice | Sequence[int] | None
+Meshes = int | slice | Sequence[int] | np.ndarray | None
 
 
 def save_batch(
@@ -335,6 +334,19 @@ class BatchFile:
                     record[name] = self._gather(f"{group}/{name}", table, rows)
         return out
 
+    def read_point_field(self, name: str, meshes: Meshes = None) -> Tensor:
+        """One point field (V, ...) of some of the meshes; see `load_fields`."""
+        rows = self._rows(meshes)
+        with as_our_errors(self.path, "cannot be read"):
+            found: Tensor = self._gather(f"point_fields/{name}", "points", rows)
+        return found
+
+    def read_mesh_fields(self, meshes: Meshes = None) -> dict[str, Any]:
+        """The mesh fields (B, ...) of some of the meshes; see `load_fields`."""
+        rows = self._rows(meshes)
+        with as_our_errors(self.path, "cannot be read"):
+            return {name: self._gather(f"mesh_fields/{name}", None, rows) for name in self._names("mesh_fields")}
+
     def _rows(self, meshes: Meshes) -> np.ndarray:
         """(B',) the numbers of the meshes that are asked for."""
         everything = np.arange(len(self))
@@ -361,13 +373,15 @@ class BatchFile:
         """
         dataset = self._table(name)
         ends = np.arange(len(self) + 1) if table is None else self._offsets[table]
-        breaks = np.flatnonzero(np.diff(rows) != 1) + 1
-        runs = itertools.pairwise([0, *breaks.tolist(), len(rows)])
-        self._check_request(dataset, int((ends[rows + 1] - ends[rows]).sum()))
-        parts = [dataset[ends[rows[i]] : ends[rows[j - 1] + 1]] for i, j in runs if j > i]
+        slabs, wanted = _slabs(ends[rows], ends[rows + 1])
+        self._check_request(dataset, sum(stop - start for start, stop in slabs))
+        parts = [dataset[start:stop] for start, stop in slabs]
+        found = (parts[0] if len(parts) == 1 else np.concatenate(parts)) if parts else dataset[:0]
+        if len(wanted) != len(found) or (np.diff(wanted) != 1).any():
+            found = found[wanted]
         if dataset.dtype.kind == "O":
-            return [value.decode() for part in parts for value in part]
-        return torch.from_numpy(np.concatenate(parts) if parts else dataset[:0])
+            return [value.decode() for value in found]
+        return torch.from_numpy(found)
 
     def _check_request(self, dataset: Any, rows: int) -> None:
         """Raises MeshIOError for so many rows of compressed data that they would fill the memory of most machines."""
@@ -377,3 +391,24 @@ class BatchFile:
                 f"{self.path}: {dataset.name} would swell to {needed:.3g} bytes, so that it may be damaged; "
                 "if not, read fewer meshes at once"
             )
+
+
+def _slabs(starts: np.ndarray, stops: np.ndarray) -> tuple[list[tuple[int, int]], np.ndarray]:
+    """What to read for the runs of rows from `starts` to `stops` (M,), and which rows of that, (N,), they are.
+
+    Runs that are less than a chunk apart are read at once, with what is between them: it would be unpacked anyway.
+    """
+    if not len(starts):
+        return [], np.zeros(0, np.int64)
+    order = np.argsort(starts, kind="stable")
+    begin, end = starts[order], np.maximum.accumulate(stops[order])
+    new = np.append(True, begin[1:] > end[:-1] + _CHUNK_ROWS)
+    last = np.append(np.flatnonzero(new)[1:], len(order)) - 1
+    first, past = begin[new], end[last]
+    # Where each slab begins among the rows that are read, less where it begins in the file.
+    shift = np.cumsum(past - first) - past
+    of_run = np.empty(len(order), dtype=np.int64)
+    of_run[order] = shift[np.cumsum(new) - 1]
+    counts = stops - starts
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return list(zip(first.tolist(), past.tolist(), strict=True)), within + np.repeat(starts + of_run, counts)

@@ -63,15 +63,31 @@ class Moved:
     deformed    the meshes after their motion, by FEMWARP or jitter; the boundary of each is simple
     inverted    (B,) int64 triangles of `deformed` that are not upright
     families    the family of each mesh
+    seeds       (B,) int64 the seed of the stream that each mesh is of
+    numbers     (B,) int64 the number of its domain in the stream
     """
 
     undeformed: MeshBatch
     deformed: MeshBatch
     inverted: Tensor
     families: tuple[str, ...]
+    seeds: Tensor
+    numbers: Tensor
 
     def __len__(self) -> int:
         return len(self.undeformed)
+
+    def first(self, count: int) -> "Moved":
+        """The first `count` meshes."""
+        families, part = self.families[:count], slice(0, count)
+        tensors = (self.inverted[part], families, self.seeds[part], self.numbers[part])
+        return Moved(self.undeformed[part], self.deformed[part], *tensors)
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """What is known of each mesh, by the names under which files have it."""
+        known = {"family": list(self.families), "seed": self.seeds, "domain": self.numbers}
+        return known | {"inverted": self.inverted}
 
 
 def stream(families: Sequence[str] = tuple(FAMILIES), *, batch: int = 32, **options: Any) -> Iterator[MeshBatch]:
@@ -116,14 +132,15 @@ def _batches(options: DomainOptions, size: int) -> Iterator[Moved]:
     """The meshes of the stream, cut into batches of `size`."""
     index, count = options.shard
     numbers = itertools.count(index, count)
-    waiting: list[tuple[MeshBatch, MeshBatch, str]] = []
+    waiting: list[tuple[MeshBatch, MeshBatch, str, int]] = []
     while True:
         while len(waiting) < size:
             lacking = -(-(size - len(waiting)) // options.motions)
             some = list(itertools.islice(numbers, min(lacking, _DOMAINS_AT_ONCE)))
             for domain in draw_domains(options, some):
-                waiting += [(domain.mesh, moved, domain.family) for moved in domain.moved(options)]
-        undeformed, deformed, families = zip(*waiting[:size], strict=True)
+                waiting += [(domain.mesh, moved, domain.family, domain.number) for moved in domain.moved(options)]
+        undeformed, deformed, families, domains = zip(*waiting[:size], strict=True)
         del waiting[:size]
         after = join(deformed)
-        yield Moved(join(undeformed), after, quality(after).inverted, families)
+        seeds = torch.full((size,), options.seed)
+        yield Moved(join(undeformed), after, quality(after).inverted, families, seeds, torch.tensor(domains))
