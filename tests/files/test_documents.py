@@ -25,7 +25,7 @@ from torchmesh.files.mesh_files import read, write
 INEXACT = {"nastran": 1e-9}
 
 # Which of the grid's content a format gives back; the table in the README says the same.
-HOLDS_POINT_DATA = {"vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
+HOLDS_POINT_DATA = {"selafin", "vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
 HOLDS_REGIONS = {"vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "obj", "medit", "nastran", "netgen", "avsucd"}
 HOLDS_REGIONS |= {"freefem", "mfem", "triangle", "sms", "comsol"}
 HOLDS_LINES = {*HOLDS_REGIONS, "su2", "abaqus", "mdpa", "permas", "adcirc"} - {"avsucd"}

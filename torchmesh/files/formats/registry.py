@@ -16,6 +16,7 @@ from .meshio_formats import SOLVER_FORMATS, SURFACE_FORMATS
 from .mfem import MFEM
 from .nastran import NASTRAN
 from .obj import OBJ
+from .selafin import SELAFIN
 from .sms import SMS
 from .su2 import SU2
 from .triangle import TRIANGLE
@@ -42,6 +43,7 @@ _ALL = (
     TRIANGLE,
     ADCIRC,
     SMS,
+    SELAFIN,
     COMSOL,
 )
 
