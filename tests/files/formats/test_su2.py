@@ -81,3 +81,26 @@ def test_flips_change_the_lines_of_their_elements_alone(tmp_path):
         if pair[0] != pair[1]
     ]
     assert changed == [("5 0 1 4 0 % first", "5 1 2 4 0 % first"), ("5 1 2 4 1", "5 0 1 4 1")]
+
+
+def test_a_file_of_three_dimensions_with_one_height_is_planar(tmp_path):
+    """Points are x, y, z and their number."""
+    head, rest = SU2.split("NPOIN= 5 5\n")
+    rows, tail = rest.split("NMARK")
+    rows = "".join(" ".join([*row.split()[:2], "0.25", row.split()[2]]) + "\n" for row in rows.splitlines())
+    text = f"{head}NPOIN= 5 5\n{rows}NMARK{tail}".replace("NDIME= 2", "NDIME= 3")
+    (tmp_path / "in.su2").write_text(text)
+    mesh = read(tmp_path / "in.su2")
+    write(tmp_path / "out.su2", mesh, like=tmp_path / "in.su2")
+    assert (tmp_path / "out.su2").read_text() == text
+    points = mesh.points.clone()
+    points[4, 1] = 0.5
+    write(tmp_path / "out.su2", mesh.with_points(points), like=tmp_path / "in.su2")
+    assert (tmp_path / "out.su2").read_text() == text.replace("0.5 0.25 0.25 4", "0.5 0.5 0.25 4")
+    form, document = FORMATS["su2"], load_document(tmp_path / "in.su2")
+    form.write(tmp_path / "out.su2", document.mesh, document, same_rows=False)
+    assert "NDIME= 3\n" in (tmp_path / "out.su2").read_text()
+    assert "\n0.5 0.25 0.25\n" in (tmp_path / "out.su2").read_text()
+    (tmp_path / "in.su2").write_text(text.replace("0.5 0.25 0.25 4", "0.5 0.25 0.5 4"))
+    with pytest.raises(MeshIOError, match="NDIME is not 2, and z is not the same"):
+        read(tmp_path / "in.su2")

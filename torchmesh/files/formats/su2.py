@@ -15,7 +15,7 @@ import meshio
 import numpy as np
 
 from .format import LINEAR, Document, Format
-from .su2_zones import Su2Lines, read_zones, section_rows, zones_of
+from .su2_zones import Su2Lines, dimension, flat_points, read_zones, section_rows, zones_of
 from .text_numbers import number_lines, numbers_of
 
 _TAG = "su2:tag"
@@ -56,7 +56,7 @@ class Su2Format(Format):
             self.patch(path, mesh, like)
             return
         with open(path, "w", encoding="utf-8", errors="surrogateescape") as stream:
-            stream.writelines(_lines(mesh))
+            stream.writelines(_lines(mesh, like.rest.height if like is not None else None))
             stream.writelines(line + "\n" for line in (like.rest.rest if like is not None else []))
 
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
@@ -84,22 +84,21 @@ def _parse(lines: list[str]) -> tuple[meshio.Mesh, Su2Lines]:
     cells: list[tuple[str, int, np.ndarray]] = []
     names: dict[str, int] = {}
     tag = markers = found = 0
+    width = 2
     numbered = iter(enumerate(lines))
     for _, line in numbered:
         match = re.match(r"\s*(\w+)\s*=\s*([^%]*)", line)
         key, value = (match[1].upper(), match[2].strip()) if match else ("", "")
         if key == "NDIME":
-            if int(value) != 2:
-                raise ValueError("NDIME is not 2: only planar meshes can be improved")
+            width = dimension(value)
         elif key == "NZONE":
             pass
         elif key == "NPOIN":
             at, rows = section_rows(numbered, int(value.split()[0]), "NPOIN")
             file.points += at
             numbers, starts, widths = numbers_of(rows, "NPOIN")
-            if len(rows) and widths.min() < 2:
-                raise ValueError(f"a point needs two coordinates: {rows[int(widths.argmin())].strip()!r}")
-            points = numbers[starts[:, None] + np.arange(2)]
+            points, height = flat_points(rows, numbers, starts, widths, width)
+            file.height = height if width == 3 else None
         elif key == "NMARK":
             markers = int(value)
         elif key == "MARKER_TAG":
@@ -159,10 +158,12 @@ def _elements(rows: list[str], section: str) -> Iterator[tuple[str, np.ndarray]]
         yield name, nodes.astype(np.int64)
 
 
-def _lines(mesh: meshio.Mesh) -> Iterator[str]:
+def _lines(mesh: meshio.Mesh, height: float | None = None) -> Iterator[str]:
     """The file of a mesh with points (V, 2), in runs of whole lines.
 
     Triangles and quads are its elements; lines and vertices are markers by their `su2:tag`.
+
+    height  the third coordinate of all points; None for a file of two dimensions
     """
     names = {int(v[0]): name for name, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 1}
     inner = [block for block in mesh.cells if block.type in ("triangle", "quad")]
@@ -176,11 +177,12 @@ def _lines(mesh: meshio.Mesh) -> Iterator[str]:
             rows = block.data[tags == tag]
             members.setdefault(tag, []).extend(number_lines(rows, f"{_NUMBERS[block.type]} "))
             counts[tag] = counts.get(tag, 0) + len(rows)
-    yield f"NDIME= 2\nNELEM= {sum(len(block.data) for block in inner)}\n"
+    yield f"NDIME= {2 if height is None else 3}\nNELEM= {sum(len(block.data) for block in inner)}\n"
     for block in inner:
         yield from number_lines(block.data, f"{_NUMBERS[block.type]} ")
     yield f"NPOIN= {len(mesh.points)}\n"
-    yield from number_lines(np.asarray(mesh.points))
+    third = np.full((len(mesh.points), int(height is not None)), height, float)
+    yield from number_lines(np.column_stack([mesh.points, third]))
     yield f"NMARK= {len(members)}\n"
     for tag, lines in members.items():
         name = "_".join(names.get(tag, str(tag)).split())

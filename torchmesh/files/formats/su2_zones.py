@@ -33,6 +33,7 @@ class Su2Lines:
     rest     the lines that belong to no section
     several  has the file several zones
     remarks  do lines of sections end in comments
+    height   the third coordinate of all points; None in a file of two dimensions
     """
 
     lines: list[str]
@@ -42,6 +43,7 @@ class Su2Lines:
     rest: list[str] = field(default_factory=list)
     several: bool = False
     remarks: bool = False
+    height: float | None = None
 
     def patched(self, mesh: meshio.Mesh) -> list[str]:
         """The lines with the points and cells of `mesh`, which has the points and cells of the file, row by row."""
@@ -77,6 +79,7 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
     blocks: list[tuple[str, int, int, np.ndarray]] = []
     names: dict[str, int] = {}
     zone = start = end = tag = 0
+    width = 2
     numbered = iter(enumerate(lines))
     for _, line in numbered:
         match = re.match(r"\s*(\w+)\s*=\s*([^%]*)", line)
@@ -84,14 +87,12 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
         if key == "IZONE":
             _check_nodes(blocks, zone, start, end)
             zone, start = zone + 1, end
-        elif key == "NDIME" and int(value) != 2:
-            raise ValueError("NDIME is not 2: only planar meshes can be improved")
+        elif key == "NDIME":
+            width = dimension(value)
         elif key == "NPOIN":
             at, rows = section_rows(numbered, int(value.split()[0]), f"NPOIN of zone {zone}")
             numbers, starts, widths = numbers_of(rows, f"NPOIN of zone {zone}")
-            if len(rows) and widths.min() < 2:
-                raise ValueError(f"a point needs two coordinates: {rows[int(widths.argmin())].strip()!r}")
-            points.append(numbers[starts[:, None] + np.arange(2)])
+            points.append(flat_points(rows, numbers, starts, widths, width)[0])
             file.points += at
             end += len(rows)
         elif key == "MARKER_TAG":
@@ -104,7 +105,7 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
                 file.cells.append(at[done : done + len(nodes)])
                 file.starts.append(start)
                 done += len(nodes)
-        elif line.strip() and key not in ("NZONE", "NDIME", "NMARK"):
+        elif line.strip() and key not in ("NZONE", "NMARK"):
             file.rest.append(line.rstrip("\r\n"))
     _check_nodes(blocks, zone, start, end)
     if zone != zones_of(lines):
@@ -118,6 +119,27 @@ def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[mes
     groups = {name: np.array([number, 1]) for name, number in names.items()}
     cells = [(kind, nodes) for kind, _, _, nodes in blocks]
     return meshio.Mesh(np.concatenate(points), cells, cell_data=data, field_data=groups), file
+
+
+def dimension(value: str) -> int:
+    """The number of coordinates that NDIME states.  Raises ValueError unless it is 2 or 3."""
+    if value not in ("2", "3"):
+        raise ValueError("NDIME is not 2: only planar meshes can be improved")
+    return int(value)
+
+
+def flat_points(
+    rows: list[str], numbers: np.ndarray, starts: np.ndarray, widths: np.ndarray, width: int
+) -> tuple[np.ndarray, float]:
+    """The first two coordinates of points (n, 2), and the third one, which is the same at all.  Raises ValueError."""
+    if len(rows) and widths.min() < width:
+        said = {2: "two", 3: "three"}[width]
+        raise ValueError(f"a point needs {said} coordinates: {rows[int(widths.argmin())].strip()!r}")
+    table = numbers[starts[:, None] + np.arange(width)]
+    height = table[:, 2] if width == 3 and len(table) else np.zeros(1)
+    if (height != height[0]).any():
+        raise ValueError("NDIME is not 2, and z is not the same at all points: only planar meshes can be improved")
+    return table[:, :2], float(height[0])
 
 
 def section_rows(lines: Iterator[tuple[int, str]], count: int, section: str) -> tuple[list[int], list[str]]:
