@@ -11,6 +11,27 @@ import torchmesh as tm
 from torchmesh.files.source import Source
 from torchmesh.files.walls import walls_of
 
+# The square as VTK's XML, with a name, a time and a field.
+VTU = """<?xml version="1.0"?>
+<!-- made by hand -->
+<VTKFile type="UnstructuredGrid" version="2.2" byte_order="LittleEndian">
+<UnstructuredGrid>
+<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1" format="ascii">0.5</DataArray></FieldData>
+<Piece NumberOfPoints="5" NumberOfCells="4">
+<PointData Scalars="rank"><DataArray type="Int32" Name="rank" format="ascii">0 1 2 3 4</DataArray></PointData>
+<Points><DataArray type="Float64" NumberOfComponents="3" RangeMin="0" RangeMax="1.49" format="ascii">
+0 0 0 1 0 0 1 1 0 0 1 0 1.4 0.5 0
+</DataArray></Points>
+<Cells>
+<DataArray type="Int32" Name="connectivity" format="ascii">0 1 4 1 2 4 2 3 4 3 0 4</DataArray>
+<DataArray type="Int32" Name="offsets" format="ascii">3 6 9 12</DataArray>
+<DataArray type="Int8" Name="types" format="ascii">5 5 5 5</DataArray>
+</Cells>
+</Piece>
+</UnstructuredGrid>
+</VTKFile>
+"""
+
 
 def improved(source: Path, target: Path, topology: str = "flip") -> list[tuple[str, str]]:
     """Improves a file into another one, which is valid and has the same walls; gives the pairs of lines that differ."""

@@ -25,8 +25,22 @@ from torchmesh.files.mesh_files import read, write
 INEXACT = {"nastran": 1e-9}
 
 # Which of the grid's content a format gives back; the table in the README says the same.
-HOLDS_POINT_DATA = {"selafin", "vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
-HOLDS_REGIONS = {"vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "obj", "medit", "nastran", "netgen", "avsucd"}
+HOLDS_POINT_DATA = {"vtm", "selafin", "vtkhdf", "vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
+HOLDS_REGIONS = {
+    "vtm",
+    "vtkhdf",
+    "vtu",
+    "vtp",
+    "vtk",
+    "gmsh",
+    "xdmf",
+    "med",
+    "obj",
+    "medit",
+    "nastran",
+    "netgen",
+    "avsucd",
+}
 HOLDS_REGIONS |= {"freefem", "mfem", "triangle", "sms", "comsol"}
 HOLDS_LINES = {*HOLDS_REGIONS, "su2", "abaqus", "mdpa", "permas", "adcirc"} - {"avsucd"}
 
@@ -63,7 +77,7 @@ def test_every_format_onto_itself_moves_nothing(tmp_path, form):
     assert torch.equal(again.points, first.points)
     assert torch.equal(again.triangles, first.triangles)
     assert torch.equal(again.constrained_edges, first.constrained_edges)
-    beside = ["a.ele", "a.poly"] if form == "triangle" else []
+    beside = {"triangle": ["a.ele", "a.poly"], "vtm": ["a_0.vtu"]}.get(form, [])
     assert sorted(os.listdir(tmp_path)) == sorted([path.name, *beside])
 
 
@@ -135,7 +149,11 @@ def broken(tmp_path: Path, case: str) -> Path:
         ("empty", MeshIOError, "the file is empty"),
         ("truncated", MeshIOError, "cannot be read as vtu"),
         ("another format", MeshIOError, "cannot be read as vtu"),
-        ("extension", MeshIOError, r"extension '\.xyz' is not known; known ones are \.vtu \.vtp \.vtk \.msh"),
+        (
+            "extension",
+            MeshIOError,
+            r"extension '\.xyz' is not known; known ones are \.vtu \.vtp \.vtk \.vtkhdf \.vtm \.msh",
+        ),
         ("no extension", MeshIOError, "no extension"),
         ("nan", InvalidMeshError, "points row 7 .*finite"),
         ("off the plane", InvalidMeshError, "points row .* off the plane.*no map of a plane: it bends over at"),

@@ -12,7 +12,7 @@ REGION_TAGS = (
     "gmsh:physical", "gmsh:geometrical", "medit:ref", "su2:tag", "cell_tags", "CellEntityIds", "nastran:ref",
     "avsucd:material", "netgen:index", "obj:group_ids", "MaterialIDs", "MaterialIds", "material", "region",
     "kratos:properties", "exodus:block", "freefem:label", "mfem:attribute", "triangle:attribute", "sms:material",
-    "comsol:entity", "adcirc:boundary",
+    "comsol:entity", "adcirc:boundary", "vtm:block",
 )  # fmt: skip
 
 

@@ -77,11 +77,11 @@ def content(reader, path: Path) -> dict:
     return found
 
 
-def quietly(*arrays) -> tm.MeshBatch:
-    """The mesh of these arrays; the corners of the quad belong to no triangle."""
+def quietly(*arrays, **quads) -> tm.MeshBatch:
+    """The mesh of these arrays, whatever is to be said of it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", tm.MeshWarning)
-        return tm.MeshBatch.from_arrays(*arrays)
+        return tm.MeshBatch.from_arrays(*arrays, **quads)
 
 
 def check(path: Path, make_reader) -> None:
@@ -94,7 +94,7 @@ def check(path: Path, make_reader) -> None:
     points, faces = source.mesh.points.clone(), source.mesh.triangles.clone()
     points[4, 0] = 0.5
     faces[0], faces[1] = source.mesh.triangles[1], source.mesh.triangles[0]
-    mesh = quietly(points, faces, source.mesh.fixed, source.mesh.constrained_edges)
+    mesh = quietly(points, faces, source.mesh.fixed, source.mesh.constrained_edges, quads=source.mesh.quads)
     with pytest.warns(tm.MeshWarning, match="not carried over .*: cell data 'stress'$"):
         tm.write(out, mesh, like=source)
     before, after = content(make_reader(), path), content(make_reader(), out)
@@ -165,6 +165,17 @@ def test_legacy_files_of_every_version(tmp_path, kind, binary, version):
     check(tmp_path / "a.vtk", reader)
 
 
+@pytest.mark.parametrize("kind", ["UnstructuredGrid", "PolyData"])
+def test_files_in_hdf5(tmp_path, kind):
+    writer = vtk.vtkHDFWriter()
+    made = grid(kind)
+    made.GetFieldData().RemoveArray("case")  # VTK does not write text there
+    writer.SetInputDataObject(made)
+    writer.SetFileName(str(tmp_path / "a.vtkhdf"))
+    writer.Write()
+    check(tmp_path / "a.vtkhdf", vtk.vtkHDFReader)
+
+
 @pytest.mark.parametrize("name", ["a.vtu", "a.vtp", "a.vtk"])
 def test_a_mesh_with_more_vertices_is_written_in_the_style_of_its_file(tmp_path, name):
     kind = "PolyData" if name == "a.vtp" else "UnstructuredGrid"
@@ -187,7 +198,7 @@ def test_a_mesh_with_more_vertices_is_written_in_the_style_of_its_file(tmp_path,
     faces = np.concatenate(
         [mesh.triangles[1:].numpy(), [[a, b, len(points) - 1], [b, c, len(points) - 1], [c, a, len(points) - 1]]]
     )
-    full = quietly(points, faces, None, mesh.constrained_edges)
+    full = quietly(points, faces, None, mesh.constrained_edges, quads=mesh.quads)
     assert report.valid.all()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", tm.MeshWarning)

@@ -2,32 +2,13 @@
 
 import numpy as np
 import pytest
+from dialects import VTU as TEXT
 from dialects import improved
 from file_contents import grid, load, save
 
 import torchmesh as tm
 from torchmesh.files.formats import vtk_blocks
 from torchmesh.files.mesh_files import read, write
-
-TEXT = """<?xml version="1.0"?>
-<!-- made by hand -->
-<VTKFile type="UnstructuredGrid" version="2.2" byte_order="LittleEndian">
-<UnstructuredGrid>
-<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1" format="ascii">0.5</DataArray></FieldData>
-<Piece NumberOfPoints="5" NumberOfCells="4">
-<PointData Scalars="rank"><DataArray type="Int32" Name="rank" format="ascii">0 1 2 3 4</DataArray></PointData>
-<Points><DataArray type="Float64" NumberOfComponents="3" RangeMin="0" RangeMax="1.49" format="ascii">
-0 0 0 1 0 0 1 1 0 0 1 0 1.4 0.5 0
-</DataArray></Points>
-<Cells>
-<DataArray type="Int32" Name="connectivity" format="ascii">0 1 4 1 2 4 2 3 4 3 0 4</DataArray>
-<DataArray type="Int32" Name="offsets" format="ascii">3 6 9 12</DataArray>
-<DataArray type="Int8" Name="types" format="ascii">5 5 5 5</DataArray>
-</Cells>
-</Piece>
-</UnstructuredGrid>
-</VTKFile>
-"""
 
 
 @pytest.fixture

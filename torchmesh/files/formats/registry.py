@@ -21,6 +21,8 @@ from .sms import SMS
 from .su2 import SU2
 from .triangle import TRIANGLE
 from .vtk import VTK
+from .vtkhdf import VTKHDF
+from .vtm import VTM
 from .vtu import VTP, VTU
 from .xdmf import XDMF
 
@@ -28,6 +30,8 @@ _ALL = (
     VTU,
     VTP,
     VTK,
+    VTKHDF,
+    VTM,
     GMSH,
     XDMF,
     OBJ,
