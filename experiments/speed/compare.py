@@ -17,36 +17,21 @@ import json
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
 
 import torchmesh as tm
-from experiments.shared import arguments, clocks, domains, peers, tables
+from experiments.shared import arguments, clocks, domains, peers
+from experiments.speed.comparison import Row, table
 from experiments.speed.fresh_process import FIRST_CALL
 from torchmesh.bench.stopwatch import Seconds, Stopwatch
 
 OURS = "torchmesh"
 # Foldover-free maps is left out: this implementation of it was not made for speed.
 PEERS = {name: peer for name, peer in peers.PEERS.items() if name != "foldover-free maps"}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One tool on one domain; without seconds, `note` says why."""
-
-    domain: str
-    triangles: int
-    inverted: int
-    tool: str
-    seconds: float | None = None
-    cpu_seconds: float | None = None
-    inverted_left: int | None = None
-    mean: float | None = None
-    max: float | None = None
-    note: str = ""
 
 
 def compare(case: domains.Case, repeats: int, patience: float, tired: set[str]) -> list[Row]:
@@ -92,7 +77,7 @@ def batch_row(cases: list[domains.Case], repeats: int, workers: int, fast: bool 
         int(tm.quality(joined).inverted.sum()) // len(cases),
         OURS + (f", {workers} processes" if workers > 1 else "") + (", fast" if fast else ""),
         seconds.wall, seconds.cpu,
-        int(q.inverted.sum()), float(q.mean.mean()), float(q.max.max()),
+        int(q.inverted.sum()), 1.0, float(q.mean.mean()), float(q.max.max()),
     )  # fmt: skip
 
 
@@ -103,23 +88,8 @@ def first_call_row(case: domains.Case, repeats: int) -> Row:
     seconds = Seconds(**run["load"]) + Seconds(**run["first"])
     return Row(
         case.name, len(case.mesh.triangles), int(tm.quality(case.mesh).inverted), f"{OURS}, import and first call",
-        seconds.wall, seconds.cpu, run["inverted"], run["mean"], run["max"],
+        seconds.wall, seconds.cpu, run["inverted"], 1.0, run["mean"], run["max"],
     )  # fmt: skip
-
-
-def table(rows: list[Row]) -> str:
-    """Markdown: a table of the rows that have seconds, and under it each reason why others have none, once."""
-    titles = "domain", "triangles", "inverted", "tool", "seconds", "inverted left", "IMR average", "IMR maximum", "note"
-    measured: list[list[str]] = []
-    left_out: dict[str, list[str]] = {}
-    for row in rows:
-        if row.seconds is None:
-            left_out.setdefault(f"{row.tool}: {row.note}", []).append(f"{row.domain} ({row.triangles:,})")
-            continue
-        head = [row.domain, f"{row.triangles:,}", f"{row.inverted:,}", row.tool, f"{row.seconds:.3f}"]
-        measured.append([*head, str(row.inverted_left), f"{row.mean:.3f}", f"{row.max:.2f}", row.note])
-    reasons = [f"\n{reason}: {', '.join(where)}." for reason, where in left_out.items()]
-    return "\n".join([tables.table(titles, measured), *reasons])
 
 
 def options() -> argparse.ArgumentParser:
@@ -175,15 +145,17 @@ def _calling(tool: Callable[..., peers.Outcome], case: domains.Case) -> Callable
 
 
 def _row(head: tuple[str, int, int], name: str, outcome: peers.Outcome, case: domains.Case) -> Row:
-    made = np.ascontiguousarray(outcome.triangles)
-    # scipy makes another number of triangles, which `with_triangles` of a batch does not take.
+    count, made = len(case.mesh.points), np.ascontiguousarray(outcome.triangles)
+    # Where a tool makes vertices of its own, those of the boundary are kept.
+    kept = 1.0 if len(outcome.points) == count and "new" not in outcome.note else float(case.mesh.fixed.sum()) / count
+    # Some tools make another number of triangles, which `with_triangles` of a batch does not take.
     mesh = tm.MeshBatch(
         torch.from_numpy(outcome.points), torch.from_numpy(made), case.mesh.fixed, case.mesh.constrained_edges,
-        case.mesh.point_offsets, torch.tensor([0, len(made)]), case.mesh.frames,
+        torch.tensor([0, len(outcome.points)]), torch.tensor([0, len(made)]), case.mesh.frames,
     )  # fmt: skip
     q = tm.quality(mesh)
     return Row(
-        *head, name, outcome.seconds.wall, outcome.seconds.cpu, int(q.inverted), float(q.mean), float(q.max),
+        *head, name, outcome.seconds.wall, outcome.seconds.cpu, int(q.inverted), kept, float(q.mean), float(q.max),
         outcome.note,
     )  # fmt: skip
 

@@ -7,6 +7,7 @@ from pathlib import Path
 # Okabe & Ito's colours can be told apart with any colour vision, and the shapes of the markers in print.
 _LOOKS = [
     ("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "v"), ("#E69F00", "D"), ("#56B4E9", "P"),
+    ("#000000", "X"),
 ]  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from experiments.shared.peers.anew import gmsh_anew
 from experiments.shared.peers.delaunay import libigl, scipy_delaunay
 from torchmesh.bench.answers import Missing, Refused
 from torchmesh.bench.methods.foldover_free_maps import foldover_free
@@ -19,6 +20,7 @@ from torchmesh.bench.methods.outcome import Outcome
 
 PEERS: dict[str, Callable[..., Outcome]] = {
     "gmsh": gmsh,
+    "gmsh, meshed anew": gmsh_anew,
     "MFEM TMOP": mfem,
     "mouette": mouette,
     "libigl (flips)": libigl,
@@ -26,4 +28,4 @@ PEERS: dict[str, Callable[..., Outcome]] = {
     "foldover-free maps": foldover_free,
 }
 
-__all__ = ["PEERS", "Missing", "Outcome", "Refused", "gmsh", "libigl", "mfem", "mfem_best", "mouette"]
+__all__ = ["PEERS", "Missing", "Outcome", "Refused", "gmsh", "gmsh_anew", "libigl", "mfem", "mfem_best", "mouette"]
