@@ -14,8 +14,8 @@ import torch
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
-from ..mesh.quads import halved, halves_of
-from ..mesh.triangle import corners, signed_area
+from ..mesh.quads import halved
+from ..transferring.quads import from_halves
 from ..transferring.transfer import Transfer, prepared
 from .placed import Placed
 from .quadratic_transfer import prepared_through_nodes
@@ -200,16 +200,9 @@ class FieldTransfer:
         """
         if not len(quads):
             return self.in_triangles(name, values), quads
-        made = self.in_triangles(name, np.concatenate([values, np.repeat(quads, 2, 0)]))
-        triangles, halves = np.split(made, [len(self.after.triangles)])
-        area = signed_area(corners(self.after.points.to(torch.float64), halves_of(self.after.quads))).abs()
-        pair = area.reshape(-1, 2).numpy()
-        halves = halves.reshape(-1, 2, *halves.shape[1:])
-        if not is_floating(values):
-            return triangles, halves[np.arange(len(halves)), pair.argmax(1)]
-        share = pair / np.maximum(pair.sum(1, keepdims=True), np.finfo(float).tiny)
-        mean = (halves * share.reshape(*share.shape, *[1] * (halves.ndim - 2))).sum(1)
-        return triangles, mean.astype(halves.dtype)
+        made = torch.from_numpy(self.in_triangles(name, np.concatenate([values, np.repeat(quads, 2, 0)])))
+        both = from_halves(self.after, made, mean=is_floating(values)).numpy()
+        return both[: len(self.after.triangles)], both[len(self.after.triangles) :]
 
     @functools.cached_property
     def _largest(self) -> np.ndarray:

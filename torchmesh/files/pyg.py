@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError, MissingDependencyError
 from ..mesh.batch import MeshBatch, join
-from ..mesh.connectivity import edges
+from ..mesh.quads import edges_of
 
 
 def to_pyg(batch: MeshBatch) -> Any:
@@ -25,13 +25,14 @@ def to_pyg(batch: MeshBatch) -> Any:
     fixed                   (V,) bool
     constrained_edge_index  (2, K) int64, each constrained edge once, as given
     frame                   (1, 3, 3) float64, the mesh's plane in space
+    quad                    (4, Q) int64, only where the mesh has quads, whose diagonals are no edges of the graph
 
     Raises MissingDependencyError without torch_geometric.
     """
     data, batched = _torch_geometric()
     graphs = []
     for mesh in batch.split():
-        edge = edges(mesh.triangles, mesh.twin).T
+        edge = edges_of(mesh).T
         graphs.append(
             data(
                 pos=mesh.points,
@@ -40,6 +41,7 @@ def to_pyg(batch: MeshBatch) -> Any:
                 fixed=mesh.fixed,
                 constrained_edge_index=mesh.constrained_edges.T.contiguous(),
                 frame=mesh.frames,
+                **({"quad": mesh.quads.T.contiguous()} if len(mesh.quads) else {}),
             )
         )
     return batched.from_data_list(graphs)
@@ -68,6 +70,7 @@ def _mesh_of(graph: Any, number: int) -> MeshBatch:
         if getattr(graph, name, None) is None:
             raise InvalidMeshError(f"graph {number} has no {name!r}: a mesh needs 'pos' (V, 2) and 'face' (3, T)")
     pos, face = graph.pos, graph.face
+    quads = getattr(graph, "quad", None)
     if face.ndim != 2 or face.shape[0] != 3:
         raise InvalidMeshError(f"graph {number}: face must have shape (3, T), not {tuple(face.shape)}")
     constrained = getattr(graph, "constrained_edge_index", None)
@@ -76,19 +79,24 @@ def _mesh_of(graph: Any, number: int) -> MeshBatch:
     frame = getattr(graph, "frame", None)
     if frame is None or fixed is None or pos.shape[1:] != (2,):
         try:
-            return MeshBatch.from_arrays(pos, face.T, fixed=fixed, constrained_edges=edge)
+            rows = None if quads is None else quads.T
+            return MeshBatch.from_arrays(pos, face.T, fixed=fixed, constrained_edges=edge, quads=rows)
         except InvalidMeshError as error:
             raise InvalidMeshError(f"graph {number}: {error}") from None
     # The graph is one of `to_pyg`.  What from_arrays would check and repair is right, and positions may be anything.
     triangles, count = face.T.contiguous(), len(pos)
-    for name, rows in (("face", triangles), ("constrained_edge_index", edge)):
+    quads = triangles.new_zeros((0, 4)) if quads is None else quads.T.contiguous()
+    for name, rows in (("face", triangles), ("constrained_edge_index", edge), ("quad", quads)):
         if bool(((rows < 0) | (rows >= count)).any()):
             raise InvalidMeshError(f"graph {number}: {name} names vertices that are not there; there are {count}")
 
     def ends(size: int) -> Tensor:
         return torch.tensor([0, size], device=pos.device)
 
-    return MeshBatch(pos, triangles, fixed, edge.contiguous(), ends(count), ends(len(triangles)), frame)
+    sizes = ends(count), ends(len(triangles))
+    return MeshBatch(
+        pos, triangles, fixed, edge.contiguous(), *sizes, frame, quads=quads, quad_offsets=ends(len(quads))
+    )
 
 
 def _torch_geometric() -> tuple[Any, Any]:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
+from ..mesh.quads import refuse_quads
 from ..mesh.ragged import counts_from_offsets, owner_of
 from ..mesh.triangle import corners
 from ..optimising.energies import InverseMeanRatio, Regularised, UntangleBeta, whole_power
@@ -123,6 +124,7 @@ def minimum_jacobian(
 
 
 def _invariants(points: Tensor, mesh: MeshBatch, target: Target) -> tuple[Tensor, Tensor]:
+    refuse_quads(mesh, "a loss over triangles")
     if points.shape != mesh.points.shape:
         raise InvalidMeshError(f"points must be {tuple(mesh.points.shape)} as in the batch, not {tuple(points.shape)}")
     return invariants(corners(points, mesh.triangles), target)

@@ -27,6 +27,7 @@ from ..improving.pipeline import improve
 from ..mesh.batch import MeshBatch, put
 from ..mesh.detached import without_autocast
 from ..mesh.measure import upright
+from ..mesh.quads import refuse_quads
 from ..mesh.ragged import segment_any, spread
 from ..mesh.rows import check_rows
 from ..mesh.unfit import unfit_meshes, what_is_unfit
@@ -108,6 +109,7 @@ class _Layer(WithMesh):
             raise InvalidMeshError(
                 f"points must be {tuple(mesh.points.shape)} as in the batch, not {tuple(points.shape)}"
             )
+        refuse_quads(mesh, f"nn.{type(self).__name__}")
         given = replace(mesh, points=points.detach())
         check_rows(given)
         unfit = unfit_meshes(given)

@@ -23,6 +23,7 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
+from ..errors import InvalidMeshError
 from . import connectivity
 from .batch import MeshBatch
 from .mixed_arrays import halves_of
@@ -107,6 +108,16 @@ def diagonals(batch: MeshBatch) -> Tensor:
     return (batch.of_quads[:, None] & last).reshape(-1)
 
 
+def edges_of(batch: MeshBatch) -> Tensor:
+    """(E, 2) each edge of triangles and quads once."""
+    mesh = halved(batch)
+    edges = connectivity.edges(mesh.triangles, mesh.twin)
+    if not len(mesh.quads):
+        return edges
+    across = connectivity.keys_of(mesh.quads[:, [0, 2]], len(mesh.points))
+    return edges[~torch.isin(connectivity.keys_of(edges, len(mesh.points)), across)]
+
+
 def triangles_alone(batch: MeshBatch) -> MeshBatch:
     """The triangles of the batch without its quads, whose vertices are fixed; those edges are then on the boundary."""
     if not len(batch.quads):
@@ -130,6 +141,12 @@ def with_triangles_alone(batch: MeshBatch, after: MeshBatch) -> MeshBatch:
     triangles = batch.triangles.clone()
     triangles[~mask] = after.triangles
     return replace(batch, points=after.points, triangles=triangles, _twin=None)
+
+
+def refuse_quads(batch: MeshBatch, what: str) -> None:
+    """Raise InvalidMeshError, in the name of `what`, for a batch with quads."""
+    if len(batch.quads):
+        raise InvalidMeshError(f"{what} takes meshes of triangles alone, and this batch has {len(batch.quads)} quads")
 
 
 def quads_as_halves(verb: Callable[_P, _R]) -> Callable[_P, _R]:

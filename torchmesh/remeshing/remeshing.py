@@ -11,6 +11,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import holding
 from ..mesh.measure import quality
+from ..mesh.quads import refuse_quads
 from ..mesh.ragged import counts_from_offsets, segment_any, spread
 from ..mesh.vertex_map import Names, VertexMap
 from ..optimising.metric_field import MetricField
@@ -66,6 +67,7 @@ def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[Mesh
     `split_boundary`) and the regions they bound.  Kept vertices keep their order; inserted ones
     come after them, mesh by mesh.  A mesh that has inverted triangles comes back as it was.
     """
+    refuse_quads(batch, "remesh (unlike improve under topology 'full')")
     options = options or RemeshOptions()
     given, batch = batch, holding(batch, options.interfaces)
     there, metric = size_field(batch, "keep"), metric_at(batch, options)

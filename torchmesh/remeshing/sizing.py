@@ -16,6 +16,7 @@ from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, vertex_mesh
 from ..mesh.detached import without_autograd
 from ..mesh.means import means_at_vertices, sums_at_vertices
+from ..mesh.quads import quads_as_halves
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
@@ -81,6 +82,7 @@ class InwardOptions:
 
 
 @without_autograd
+@quads_as_halves
 def size_field(
     batch: MeshBatch, sizes: Sizes = "boundary", *, triangles: Tensor | None = None, accuracy: float | None = None
 ) -> Tensor:
@@ -285,6 +287,7 @@ class SizeConformity:
 
 
 @without_autograd
+@quads_as_halves
 def size_conformity(batch: MeshBatch, sizes: Sizes = "boundary") -> SizeConformity:
     """How well the edges of each mesh follow a size field; `sizes` as in `size_field`."""
     return conformity(batch, size_field(batch, sizes), lambda edges: edge_lengths(batch, edges))

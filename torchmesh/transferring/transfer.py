@@ -17,6 +17,7 @@ from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
+from ..mesh.quads import halved, has_quads, refuse_quads
 from ..mesh.ragged import counts_from_offsets, owner_of
 from ..mesh.validation import fit_positions
 from ..optimising.linear_map import LinearMap
@@ -24,6 +25,7 @@ from .location import locate, nearest_triangles, nearest_vertices
 from .overlaps import Overlaps, overlaps, signed_areas
 from .pairs import Side, both_sides
 from .projection import MassMatrix, mixed_mass
+from .quads import from_halves, to_halves
 from .sparse_rows import Entries, SparseRows
 
 Where = Literal["points", "triangles"]
@@ -126,8 +128,8 @@ def transfer(
 ) -> Tensor | tuple[Tensor, TransferInfo]:
     """Values of the meshes `before` for the meshes `after` of the same domains, mesh b for mesh b.
 
-    values  (V, ...) at the vertices of `before`, or (T, ...) in its triangles, on any device; floats, or with
-            method "nearest" anything
+    values  (V, ...) at the vertices of `before`, or (T + Q, ...) in its triangles and then its quads, on any device;
+            floats, or with method "nearest" anything
     where   "points" or "triangles": what has the values
     method  "linear", at points: linear interpolation in the triangle of `before` round each vertex, exact for linear
             functions.  Where triangles of `before` are inverted or overlap, the Delaunay triangulation of its vertices
@@ -142,13 +144,18 @@ def transfer(
             "nearest": the value of the nearest vertex, or of the triangle round the centroid
     report  also return a `TransferInfo`: what was tangled, outside, or passed the extremes
 
-    Returns (V', ...) or (T', ...) in the dtype and on the device of `values`, differentiable in them.
+    Quads are two triangles each here: both have the quad's value, and a quad has the mean of both by their areas.
+
+    Returns (V', ...) or (T' + Q', ...) in the dtype and on the device of `values`, differentiable in them.
 
     Raises InvalidMeshError for batches of different sizes, values of another length, or points that are not finite;
     ValueError for an unknown `where` or `method`.
     """
-    made = prepared(before, after, where, method)
-    out, overshoots = made(_checked_values(values, made.rows.shape[1]))
+    mixed = where == "triangles" and (has_quads(before) or has_quads(after))
+    made = prepared(halved(before), halved(after), where, method)
+    given = _checked_values(values, len(before.triangles) + len(before.quads) if mixed else made.rows.shape[1])
+    out, overshoots = made(to_halves(before, given) if mixed else given)
+    out = from_halves(after, out, mean=method != "nearest") if mixed else out
     if not report:
         return out
     info = made.info
@@ -177,7 +184,10 @@ def transfer_matrix(
     """
     if method == "conservative" and where == "points":
         raise ValueError("a projection has no sparse matrix: use transfer(..., method='conservative')")
-    return prepared(before, after, where, method).rows.matrix()
+    if where == "triangles":
+        for batch in (before, after):
+            refuse_quads(batch, "transfer_matrix of triangles")
+    return prepared(halved(before), halved(after), where, method).rows.matrix()
 
 
 def prepared(before: MeshBatch, after: MeshBatch, where: Where = "points", method: Method = "linear") -> Transfer:
