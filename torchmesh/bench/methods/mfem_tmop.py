@@ -18,9 +18,10 @@ from .outcome import Outcome, need
 Array = np.ndarray
 
 
-def mfem(points: Array, triangles: Array, fixed: Array, size: float = 0.25) -> Outcome:
+def mfem(points: Array, triangles: Array, fixed: Array, size: float = 0.25, quads: Array | None = None) -> Outcome:
     """MFEM's TMOP through PyMFEM: shape metric 4 with a shifted barrier, Newton with MINRES.
 
+    quads  (Q, 4) beside the triangles; None: there are none.  Their corners are the points of integration
     size  the length of the mean triangle in units of the target's edge.  The method has absolute constants, so the
           unit of the mesh decides how fast it is and whether it ends at all; `mfem_best` tries 1, 0.5, 0.25 and
           0.125.
@@ -29,11 +30,16 @@ def mfem(points: Array, triangles: Array, fixed: Array, size: float = 0.25) -> O
     import mfem.ser as fem
     from mfem._ser import cpointers, tmop, tmop_tools
 
+    quads = np.zeros((0, 4), np.int64) if quads is None else quads
+    corners = np.concatenate([np.stack([quads[:, k - 1], quads[:, k], quads[:, (k + 1) % 4]], 1) for k in range(4)])
     area = 0.5 * exact_check.double_areas(points, triangles)
-    scale = size * float(np.sqrt(np.sqrt(3) / 4 / np.abs(area).mean()))
+    doubled = exact_check.double_areas(points, corners)
+    # The mean of what the areas of elements are of those of their targets, which have edges of length 1.
+    share = np.concatenate([np.abs(area) / (np.sqrt(3) / 4), np.abs(doubled)])
+    scale = size * float(np.sqrt(1 / share.mean()))
     with tempfile.TemporaryDirectory() as folder, _quiet():
         path = str(Path(folder) / "tangled.mesh")
-        _write_mfem(path, points * scale, triangles)
+        _write_mfem(path, points * scale, triangles, quads)
         # The last argument keeps it from turning inverted triangles round.
         mesh = fem.Mesh(path, 1, 1, False)
     with Stopwatch() as watch:
@@ -46,7 +52,7 @@ def mfem(points: Array, triangles: Array, fixed: Array, size: float = 0.25) -> O
         start = fem.GridFunction(space)
         start.Assign(x)
         # The barrier starts a little below the smallest determinant, counted in target triangles.
-        lowest = float((2 * area * scale**2).min() / (np.sqrt(3) / 2))
+        lowest = float(np.concatenate([2 * area / (np.sqrt(3) / 2), doubled]).min() * scale**2)
         barrier = cpointers.doublep()
         barrier.assign(lowest - 0.01 * size if lowest < 0 else lowest)
         kind = tmop.TMOP_WorstCaseUntangleOptimizer_Metric
@@ -91,13 +97,15 @@ def mfem_best(points: Array, triangles: Array, fixed: Array) -> Outcome:
     return min(tries, key=lambda t: (exact_check.inverted(t.points, triangles), t.seconds.cpu))
 
 
-def _write_mfem(path: str, points: Array, triangles: Array) -> None:
-    edges = boundary.edges(torch.from_numpy(triangles)).numpy()
+def _write_mfem(path: str, points: Array, triangles: Array, quads: Array) -> None:
+    halves = np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    edges = boundary.edges(torch.from_numpy(halves)).numpy()
     with open(path, "w") as out:
-        for name, corners, shape in (("elements", triangles, 2), ("boundary", edges, 1)):
-            head = "MFEM mesh v1.0\n\ndimension\n2\n" if name == "elements" else ""
-            out.write(f"{head}\n{name}\n{len(corners)}\n")
-            np.savetxt(out, np.insert(corners, 0, [[1], [shape]], 1), fmt="%d")
+        out.write("MFEM mesh v1.0\n\ndimension\n2\n")
+        for name, blocks in (("elements", ((triangles, 2), (quads, 3))), ("boundary", ((edges, 1),))):
+            out.write(f"\n{name}\n{sum(len(corners) for corners, _ in blocks)}\n")
+            for corners, shape in blocks:
+                np.savetxt(out, np.insert(corners, 0, [[1], [shape]], 1), fmt="%d")
         out.write(f"\nvertices\n{len(points)}\n2\n")
         np.savetxt(out, points, fmt="%.17g")
 
