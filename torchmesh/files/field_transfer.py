@@ -14,7 +14,7 @@ import torch
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
-from ..mesh.quads import halved
+from ..mesh.quads import halved, split_quads
 from ..transferring.quads import from_halves
 from ..transferring.transfer import Transfer, prepared
 from .placed import Placed
@@ -144,6 +144,12 @@ class FieldTransfer:
         """The same for meshes with mid-side nodes, whose values at points are interpolated between all of these."""
         made = FieldTransfer(before.mesh, after.mesh, "drop" if self.drops else "interpolate")
         made.summary, made.nodes = self.summary, (before, after)
+        return made
+
+    def with_split_quads(self, gone: torch.Tensor) -> "FieldTransfer":
+        """The same with the quads `gone` (Q,) bool of the mesh before as two triangles each; it adds to one summary."""
+        made = FieldTransfer(split_quads(self.before, gone), self.after, "drop" if self.drops else "interpolate")
+        made.summary = self.summary
         return made
 
     @functools.cached_property

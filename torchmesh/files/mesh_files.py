@@ -31,7 +31,7 @@ from .formats.registry import FORMATS, format_of
 from .messages import warn
 from .placed import Placed
 from .source import Source, as_path, default_fixed
-from .split_quads import with_split_quads
+from .split_quads import split_rows, with_split_quads
 from .surface import HeightChoice, check_height
 
 
@@ -155,7 +155,8 @@ def draft(
     mesh = mesh.with_points(mesh.points.detach()).to("cpu")
     split = like is not None and len(mesh.quads) < len(like.mesh.quads)
     if like is not None and split:
-        like = with_split_quads(like, mesh, vertex_map)
+        gone = split_rows(like, mesh, vertex_map)
+        like, fields = with_split_quads(like, gone), None if fields is None else fields.with_split_quads(gone)
     if like is None:
         content = _new_content(mesh)
         content.points = _in_space(path, content.points, mesh, None)

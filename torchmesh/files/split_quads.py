@@ -15,11 +15,8 @@ from .fields import triangle_regions
 from .source import Source
 
 
-def with_split_quads(like: Source, mesh: MeshBatch, vertex_map: VertexMap | None = None) -> Source:
-    """`like` with those of its quads as two triangles each that `mesh` has no more.
-
-    The triangles follow the others, in the order of the quads, as `mesh.quads.split_quads` has them; both have the
-    cell data and are in the cell sets of their quad.
+def split_rows(like: Source, mesh: MeshBatch, vertex_map: VertexMap | None = None) -> torch.Tensor:
+    """(Q,) bool, the quads of `like` that `mesh` has no more.
 
     Raises InvalidMeshError for a mesh with a quad that the file does not have.
     """
@@ -30,6 +27,15 @@ def with_split_quads(like: Source, mesh: MeshBatch, vertex_map: VertexMap | None
     gone = ~here[number[: len(given)]]
     if int((~gone).sum()) != len(now):
         raise InvalidMeshError(f"{like.path}: the mesh has quads that the file does not have")
+    return gone
+
+
+def with_split_quads(like: Source, gone: torch.Tensor) -> Source:
+    """`like` with the quads `gone` (Q,) bool as two triangles each.
+
+    The triangles follow the others, in the order of the quads, as `mesh.quads.split_quads` has them; both have the
+    cell data and are in the cell sets of their quad.
+    """
     other = better_diagonals(like.mesh, gone)
     after = split_quads(like.mesh, gone, other)
     diagonal = torch.zeros_like(gone).index_put((gone.nonzero().squeeze(1),), other)

@@ -27,7 +27,7 @@ from ..mesh.ragged import spread
 from ..mesh.regions import region_areas
 from ..mesh.validation import fit_positions
 from ..mesh.vertex_map import VertexMap
-from ..optimising.targets import as_targets, narrow
+from ..optimising.targets import as_targets, narrow, narrow_quads, quad_targets_from
 from ..status import Status
 from ..warping.boundary_path import BoundaryPath
 from ..warping.femwarp import (
@@ -186,6 +186,12 @@ def _deform(
         if options.improve.reference is not None:
             improve_too = replace(improve_too, reference=halved(options.improve.reference))
         reference = None if options.reference is None else halved(options.reference)
+        # What quads are like before the motion is what they are meant to be like.
+        meant = None if improve_too.shapes == "equilateral" else quad_targets_from(options.reference or batch)
+        if options.smooth.quad_targets is None:
+            options = replace(options, smooth=replace(options.smooth, quad_targets=meant))
+        if improve_too.smooth.quad_targets is None:
+            improve_too = replace(improve_too, smooth=replace(improve_too.smooth, quad_targets=meant))
         options = replace(options, improve=improve_too, reference=reference)
         after, report = _deform(halved(batch), new_points, steps, options, progress, hold, rigid, layer, trail)
         return _in_whole(after, report)
@@ -328,7 +334,8 @@ def _moved(
     again = has_layers & (motion.status != Status.VALID) & ~task.unfit
     if bool(again.any()):
         targets = narrow(as_targets(options.targets), task.batch, again)
-        narrowed = replace(options, smooth=replace(options.smooth, targets=targets))
+        shapes = narrow_quads(options.smooth.quad_targets, task.batch, again)
+        narrowed = replace(options, smooth=replace(options.smooth, targets=targets, quad_targets=shapes))
         part = task.select(again, options)
         motion = motion.put(again, _moved(part, longest, narrowed, progress, False, trail)[0])
     return motion, again

@@ -23,6 +23,7 @@ class Given:
     walls      gives, by name, edges (K, 2) that messages call so: layers over them are told by these names
     layers     (V,) bool, the vertices of layers that are held, with the walls below; None: no layer is held
     tether     how many local widths vertices may move in meshes that are tethered
+    quad_shapes  (4Q, 2, 2) what the corners of quads aim at; None: the corner of a square
     anchors    (V, 2) the positions from which that is measured; None: those of `mesh`
     anchor_widths  (V,) the local widths there; None: those of `mesh`
     """
@@ -35,6 +36,7 @@ class Given:
     walls: Callable[[], Mapping[str, Tensor]] = dict
     layers: Tensor | None = None
     tether: float = 1.0
+    quad_shapes: Tensor | None = None
     anchors: Tensor | None = None
     anchor_widths: Tensor | None = None
 

@@ -19,7 +19,7 @@ from ..mesh.measure import quality, upright
 from ..mesh.ragged import segment_any, segment_min, spread
 from ..mesh.rounding import rounded, unrounded
 from ..optimising.metric_field import MetricField
-from ..optimising.targets import as_targets, narrow
+from ..optimising.targets import as_targets, narrow, narrow_quads
 from ..smoothing.smoothing import smooth
 from ..status import Status
 from ..warping.boundary_path import first_flat
@@ -202,7 +202,8 @@ def _stepped(motion: Motion, trial: _Trial, options: DeformOptions) -> Motion:
             metric = targets if isinstance(targets, MetricField) else None
             some, info = flip_to_delaunay(some, FlipOptions(rule="shape"), metric=metric)
             flips = flips.index_add(0, whole.nonzero().squeeze(1), info.flips)
-        done = smooth(some, replace(options.smooth, targets=targets))[0]
+        shapes = narrow_quads(options.smooth.quad_targets, motion.mesh, whole)
+        done = smooth(some, replace(options.smooth, targets=targets, quad_targets=shapes))[0]
         done = unrounded(done, start, begun, holding(begun).fixed)
         good = ~segment_any(~upright(done), done.triangle_offsets)
         part = put(part, between, done if bool(good.all()) else put(begun, good, done.select(good)))

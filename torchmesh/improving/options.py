@@ -44,7 +44,8 @@ class ImproveOptions:
                       targets are given, and with method "paper"
     reference         the same meshes undeformed, with the same triangles, if the caller has them.  Tangled interiors
                       are then first warped from those of the reference by FEMWARP, and the last untangling aims at each
-                      triangle's undeformed shape and size.  A reference is refused if edges have flipped since
+                      triangle's undeformed shape and size.  Quads aim at their shapes in it throughout, under
+                      shapes="auto".  A reference is refused if edges have flipped since
     boundary          "fixed": boundary edges stay; "slide": once the mesh is valid, their vertices move along the
                       given curves, corners excepted (`SmoothOptions.boundary`)
     interfaces        what becomes of the vertices on constrained edges, the interfaces between regions: "fixed" and
@@ -212,7 +213,8 @@ class ImproveOptions:
     @property
     def separable(self) -> bool:
         """Whether the options are the same for each mesh of a batch, without tensors over its vertices."""
-        shared = isinstance(self.remesh.sizes, Tensor) or self.smooth.targets is not None or self.reference is not None
+        shaped = self.smooth.targets is not None or self.smooth.quad_targets is not None
+        shared = isinstance(self.remesh.sizes, Tensor) or shaped or self.reference is not None
         return self.topology != "full" and not shared
 
     @property

@@ -128,7 +128,7 @@ def smooth(options: SmoothOptions) -> Stage:
         if state.held is not None:
             free = ~state.held if free is None else free & ~state.held
             curves = None if curves is None else curves.holding(state.held, state.mesh.point_offsets)
-        towards = replace(_at_interfaces(options, state), targets=state.targets)
+        towards = replace(_at_interfaces(options, state), targets=state.targets, quad_targets=state.quad_shapes)
         mesh, info = smoothing.smooth(state.mesh, towards, free=free, monitor=monitor, curves=curves)
         if info.curves is not None and state.curves is not None:
             # What was held may slide again in the next stage.

@@ -24,7 +24,7 @@ from ..mesh.measure import Quality, quality
 from ..mesh.ragged import segment_count, segment_max, segment_sum, spread
 from ..mesh.vertex_map import Names, exchange
 from ..optimising.metric_field import MetricField
-from ..optimising.targets import Targets, as_targets, narrow
+from ..optimising.targets import Targets, as_targets, narrow, narrow_quads, quad_targets_from
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
 from .columns import Edits, put_conformity, put_quality, put_rows, select_conformity, select_quality
@@ -124,6 +124,7 @@ class State:
             stays if curves is None else stays & ~curves.may_slide(batch.point_offsets),
             options.at_interfaces,
             tether=options.tether,
+            quad_shapes=_quad_shapes(batch, options),
         )
         count, device = len(batch), batch.points.device
         q = quality(batch) if known is None else known
@@ -206,6 +207,11 @@ class State:
     def reference(self) -> MeshBatch | None:
         """These meshes undeformed, if the caller gave them."""
         return None if self.origin.reference is None else self.origin.reference.select(self._of_origin())
+
+    @property
+    def quad_shapes(self) -> Tensor | None:
+        """(4Q, 2, 2) what the corners of the quads of these meshes aim at; None: the corner of a square."""
+        return narrow_quads(self.origin.quad_shapes, self.origin.mesh, self._of_origin())
 
     @property
     def widths(self) -> Tensor:
@@ -370,3 +376,12 @@ class State:
             averaged=None,
             lively=None,
         )
+
+
+def _quad_shapes(batch: MeshBatch, options: ImproveOptions) -> Tensor | None:
+    """What the corners of quads aim at: what was asked for, or under shapes="auto" what they are in the reference."""
+    if not len(batch.quads):
+        return None
+    if options.smooth.quad_targets is not None or options.reference is None or not options.keeps_shapes:
+        return options.smooth.quad_targets
+    return quad_targets_from(options.reference)

@@ -24,7 +24,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, triangle_mesh
 from ..mesh.measure import refuse_inverted
-from ..mesh.quads import HALVES, halved, has_quads, sample_offsets, sampled, spread_to_halves, worst_of_samples
+from ..mesh.quads import HALVES, SAMPLES, halved, has_quads, sample_offsets, sampled, spread_to_halves, worst_of_samples
 from ..mesh.ragged import spread
 from ..mesh.triangle import SQRT3, Corners, corners, inverse_mean_ratio, signed_area, squared_edge_lengths
 from .jacobian import Target, equilateral, invariants, select_rows, target_of
@@ -97,11 +97,13 @@ def target_quality(batch: MeshBatch, targets: Targets) -> Tensor:
     return torch.where(det > 0, stretch / (2 * torch.where(det > 0, det, 1.0)), torch.inf)
 
 
-def ideal(batch: MeshBatch, size: Tensor | float = 1.0) -> Target:
+def ideal(batch: MeshBatch, size: Tensor | float = 1.0, quads: Tensor | None = None) -> Target:
     """The target of each triangle (T,) where nothing else is meant: equilateral ones with sides of this size.
 
     Where triangles are the corners of quads (`mesh.quads.sampled`), they aim at the corner of a square, the right
     isosceles triangle, of the same area.
+
+    quads  (4Q, 2, 2) what the corners aim at instead, of any size
     """
     plain = equilateral(size)
     if not len(batch.quads):
@@ -109,19 +111,32 @@ def ideal(batch: MeshBatch, size: Tensor | float = 1.0) -> Target:
     corner = batch.of_quads
     square = (2 / SQRT3) / (size * size) * torch.ones(len(corner), dtype=torch.float64, device=corner.device)
     right = square, torch.zeros_like(square), square, square
-    return Target(*(torch.where(corner, r, torch.as_tensor(p).to(r)) for r, p in zip(right, plain, strict=True)))
+    made = Target(
+        *(torch.where(corner, r, torch.as_tensor(p, dtype=r.dtype)) for r, p in zip(right, plain, strict=True))
+    )
+    if quads is None:
+        return made
+    own = _unit_targets(batch, quads, int(corner.sum()))
+    pairs = ((torch.as_tensor(v), torch.as_tensor(mine)) for v, mine in zip(made, own, strict=True))
+    return Target(*(value.index_put((corner,), mine) for value, mine in pairs))
+
+
+def quad_targets_from(reference: MeshBatch) -> Tensor:
+    """(4Q, 2, 2) the corners of the quads of `reference` as target matrices, for `SmoothOptions(quad_targets=...)`."""
+    corners_alone = sampled(reference)
+    return edge_matrices(corners_alone)[corners_alone.of_quads]
 
 
 def aim(objective: MeshObjective, batch: MeshBatch, packing: Packing, targets: Targets) -> MeshObjective:
     """`objective`, whose target are equilateral triangles, with these targets in their place."""
-    scale = packing.spread_vertices(_vertex_height(batch) / spread(packing.unit, batch.point_offsets))
+    scale = packing.spread_vertices(vertex_height(batch) / spread(packing.unit, batch.point_offsets))
     if isinstance(targets, MetricField):
         edge_map = edge_map_of(targets.at_vertices(batch), batch.triangles[packing.triangles])
         return replace(objective, edge_map=edge_map, scale=scale)
     return replace(objective, target=select_rows(_target(batch, targets), packing.triangles), scale=scale)
 
 
-def _vertex_height(batch: MeshBatch) -> Tensor:
+def vertex_height(batch: MeshBatch) -> Tensor:
     """(V,) the least height of the triangles round each vertex: about how far it may move before one inverts."""
     t = corners(batch.points.to(torch.float64), batch.triangles)
     ab, bc, ca = squared_edge_lengths(t)
@@ -135,7 +150,11 @@ def _vertex_height(batch: MeshBatch) -> Tensor:
 
 def _target(batch: MeshBatch, matrices: Tensor) -> Target:
     """The target matrices (T, 2, 2), checked, as coefficients of J; each is scaled to the area of a unit triangle."""
-    count = len(batch.triangles)
+    return _unit_targets(batch, matrices, len(batch.triangles))
+
+
+def _unit_targets(batch: MeshBatch, matrices: Tensor, count: int) -> Target:
+    """The same of so many matrices (N, 2, 2), of triangles or of corners of quads."""
     if matrices.shape != (count, 2, 2):
         more = " and one a corner of each quad" if len(batch.quads) else ""
         raise InvalidMeshError(
@@ -149,9 +168,9 @@ def _target(batch: MeshBatch, matrices: Tensor) -> Target:
     bad = ~(area > 0)
     if bool(bad.any()):
         row = int(bad.nonzero()[0])
+        where = f"mesh {int(triangle_mesh(batch)[row])}: " if count == len(batch.triangles) else "quad_"
         raise InvalidMeshError(
-            f"mesh {int(triangle_mesh(batch)[row])}: targets row {row} is {matrices[row].tolist()}: "
-            "the determinant of a target matrix must be positive"
+            f"{where}targets row {row} is {matrices[row].tolist()}: the determinant of a target matrix must be positive"
         )
     size = (4 / SQRT3 * area).sqrt()
     return target_of(Corners(*(v / size for v in t)))
@@ -200,3 +219,8 @@ def narrow(targets: Targets | None, batch: MeshBatch, at: Tensor) -> Targets | N
     if isinstance(targets, MetricField) and isinstance(targets.values, Tensor):
         return MetricField(targets.values.to(at.device)[spread(at, batch.point_offsets)])
     return targets
+
+
+def narrow_quads(targets: Tensor | None, batch: MeshBatch, at: Tensor) -> Tensor | None:
+    """The `SmoothOptions.quad_targets` for `batch.select(at)`, at (B,) bool."""
+    return None if targets is None else targets.to(at.device)[spread(at, SAMPLES * batch.quad_offsets)]

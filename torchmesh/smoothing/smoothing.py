@@ -21,7 +21,7 @@ from ..optimising.lbfgs import minimise
 from ..optimising.lbfgs_options import LbfgsOptions
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing, pack
-from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check, ideal
+from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check, ideal, vertex_height
 from ..status import Status
 
 if TYPE_CHECKING:
@@ -48,6 +48,9 @@ class SmoothOptions:
                       one per triangle of the batch (`target_from`); a `MetricField` (`metric_from`,
                       `MetricField.stretched`); or a function from positions (N, 2) to target matrices (N, 2, 2),
                       which is converted to a field (`MetricField.from_targets`)
+    quad_targets      (4Q, 2, 2) what the corners of quads should look like, four a quad in their order, with the edges
+                      to the next corner and to the one before as columns (`quad_targets_from`); None: the corner of a
+                      square.  No effect beside `targets`
     corner_angle      degrees; where a boundary curve turns by more, the vertex is a corner and stays
     single            compute displacements in single precision, which is faster and good for rough work on
                       triangles that are not slivers; has no effect with sliding or targets
@@ -65,6 +68,7 @@ class SmoothOptions:
     corner_angle: float = 40.0
     targets: Targets | TargetFunction | None = field(default=None, compare=False)
     single: bool = False
+    quad_targets: Tensor | None = field(default=None, compare=False)
 
     @property
     def energy(self) -> InverseMeanRatio:
@@ -147,9 +151,9 @@ def smooth(
     may_move = ~stays & ~spread(refused, batch.point_offsets)
     if free is not None:
         may_move &= free
-    # Curves have been told by the connectivity of halves; from here on quads are their corners.
-    batch = sampled(batch)
-    single = options.single and curves is None and options.targets is None
+    # Curves need the connectivity of halves; for all else quads are their corners from here on.
+    connected, batch = batch, sampled(batch)
+    single = options.single and curves is None and options.targets is None and options.quad_targets is None
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
     objective = _objective(batch, packing, options)
     if curves is None:
@@ -158,7 +162,7 @@ def smooth(
     else:
         from .sliding import Slide
 
-        slide = Slide(batch, curves, packing)
+        slide = Slide(connected, curves, packing)
         result = minimise(*slide.start(objective), _lbfgs(options), monitor)
         points, curves = slide.finish(result.unknowns)
         moved = batch.with_points(points)
@@ -178,14 +182,16 @@ def smooth(
 
 def _objective(batch: MeshBatch, packing: Packing, options: SmoothOptions) -> MeshObjective:
     """The energy of the options over the packed batch, with its targets if it has any."""
+    shaped = options.quad_targets if options.targets is None and len(batch.quads) else None
+    length = vertex_size(batch) if shaped is None else vertex_height(batch)
     objective = MeshObjective(
         options.energy,
-        select_rows(ideal(batch), packing.triangles),
+        select_rows(ideal(batch, quads=shaped), packing.triangles),
         packing.rows,
         packing.anchored,
         packing.block_offsets,
         packing.triangle_offsets,
-        packing.spread_vertices(vertex_size(batch) / spread(packing.unit, batch.point_offsets)),
+        packing.spread_vertices(length / spread(packing.unit, batch.point_offsets)),
         edges=packing.edges,
     )
     targets = as_targets(options.targets)
