@@ -81,7 +81,7 @@ def mine(mesh):
 
 
 def channel(rings: int = 6, quads: int = 2, around: int = 12) -> meshio.Mesh:
-    """A plate round a hole: so many rings of quads on the hole, which is called cylinder, then triangles."""
+    """A plate round a hole: so many rings of quads on the hole, which is called body, then triangles."""
     angle = 2 * np.pi * np.arange(around) / around
     circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     points = np.concatenate([(1 + 0.5 * k) * circle for k in range(rings + 1)])
@@ -97,7 +97,7 @@ def channel(rings: int = 6, quads: int = 2, around: int = 12) -> meshio.Mesh:
     groups = [np.full(len(data), 1 if kind == "line" else 2) for kind, data in blocks]
     return meshio.Mesh(
         points, blocks, cell_data={"gmsh:physical": groups, "gmsh:geometrical": groups},
-        field_data={"cylinder": np.array([1, 1]), "fluid": np.array([2, 2])},
+        field_data={"body": np.array([1, 1]), "fluid": np.array([2, 2])},
     )  # fmt: skip
 
 

@@ -1,50 +1,48 @@
 """The README's code blocks run; commands/test_reproduce.py compares its table with what is measured."""
 
+import contextlib
 import re
-import shutil
-import subprocess
-import sys
+import shlex
 from pathlib import Path
 
 import documents
 import pytest
 
+from torchmesh.commands.main import main
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"<!-- test: files -->\n```(\w+)\n(.*?)```", README, re.DOTALL)
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, re.DOTALL | re.MULTILINE)
+INLINE = re.findall(r"`(torchmesh --?[^`]*|torchmesh \w+ [^`]*)`", README)
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch) -> Path:
-    shutil.copy(ROOT / "torchmesh" / "data" / "bar.vtk", tmp_path / "undeformed.vtk")
+def test_everything_shown_runs_in_an_empty_folder(tmp_path, monkeypatch, inline):
+    """In the order of the page, after the two commands; the first of them is the installation that runs here."""
+    pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.mark.parametrize(("language", "code"), BLOCKS, ids=[language for language, _ in BLOCKS])
-def test_code_block_runs(language, code, folder):
-    if language == "python":
-        subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
-        assert (folder / "better.vtu").exists()
-    else:
-        # The third line measures a tangled file too, and says so by its exit status.
-        for line, expected in zip(code.strip().splitlines(), (0, 0, 1, 0), strict=True):
-            documents.run_line(line, expected)
-        assert (folder / "better.png").exists()
-
-
-def test_training_blocks_run(folder):
-    blocks = re.findall(r"<!-- test: training -->\n```(\w+)\n(.*?)```", README, re.DOTALL)
-    assert [language for language, _ in blocks] == ["sh", "python"]
-    (_, command), (_, code) = blocks
-    assert "--count 64" in command
+    assert [language for language, _ in BLOCKS] == ["sh", "sh", "python", "sh", "python"]
+    install, *rest = BLOCKS[0][1].strip().splitlines()
+    assert install.startswith("pip install '.[plot]'")
+    assert [line.split("#")[0].strip() for line in rest] == ["torchmesh example"]
     ends = "\nassert torch.isfinite(points.grad).all() and points.grad.abs().max() > 0\n"
+    assert "--count 64" in BLOCKS[3][1]
     # A batch of eight is taken, so no more meshes are needed.
-    documents.run([("sh", command.replace("--count 64", "--count 8")), ("python", code + ends)])
+    training = [("sh", BLOCKS[3][1].replace("--count 64", "--count 8")), ("python", BLOCKS[4][1] + ends)]
+    documents.run([("sh", "\n".join(rest)), *BLOCKS[1:3], *training])
+    for name in ("better.png", "better.vtu", "report.html", "film.gif", "results/more/gate.vtu"):
+        assert (tmp_path / name).exists(), name
 
 
-def test_both_languages_are_shown():
-    assert [language for language, _ in BLOCKS] == ["sh", "python"]
+@pytest.mark.parametrize("line", INLINE)
+def test_a_command_in_the_text_is_one(line, capsys):
+    """Its command and its options exist."""
+    words = shlex.split(line)[1:]
+    command = [word for word in words[: 2 if words[0] == "bench" else 1] if not word.startswith("-")]
+    with contextlib.suppress(SystemExit):  # as --version ends
+        main([*command, "--help"])
+    text = capsys.readouterr().out
+    for option in (word for word in words if word.startswith("--")):
+        assert option in text, line
 
 
 def test_every_command_and_name_exists():

@@ -164,15 +164,15 @@ def cells_of(path: Path, kind: str) -> np.ndarray:
 def test_a_part_of_the_file_moves_by_its_name_with_its_layers_of_quads(call, folder):
     given = meshio.read(folder / "channel.msh")
     quads = np.unique(cells_of(folder / "channel.msh", "quad"))
-    assert call("warp", "channel.msh", "out.msh", "--move", "cylinder:0.2,0.1").status == 0
+    assert call("warp", "channel.msh", "out.msh", "--move", "body:0.2,0.1").status == 0
     by = meshio.read(folder / "out.msh").points - given.points
     assert by[quads] == pytest.approx(np.tile([0.2, 0.1, 0], (len(quads), 1)))
-    assert call("warp", "channel.msh", "out.msh", "--rotate", "cylinder:30").status == 0
+    assert call("warp", "channel.msh", "out.msh", "--rotate", "body:30").status == 0
     turned = meshio.read(folder / "out.msh").points
     assert np.linalg.norm(turned[quads], axis=1) == pytest.approx(np.linalg.norm(given.points[quads], axis=1))
     assert np.linalg.norm(turned[quads] - given.points[quads], axis=1).min() > 0.4
     # A larger hole pushes its layers outwards, and these keep their heights.
-    assert call("warp", "channel.msh", "out.msh", "--scale", "cylinder:1.2").status == 0
+    assert call("warp", "channel.msh", "out.msh", "--scale", "body:1.2").status == 0
     scaled = np.linalg.norm(meshio.read(folder / "out.msh").points[quads], axis=1)
     assert scaled - np.linalg.norm(given.points[quads], axis=1) == pytest.approx(0.2)
 
@@ -193,9 +193,7 @@ def test_scales_for_each_axis_and_from_a_point(call, folder):
 
 def test_the_list_says_what_lies_on_each_part(call, folder):
     rows = [line.split() for line in call("warp", "channel.msh", "--list").out.splitlines()]
-    row = next(row for row in rows if row[:1] == ["cylinder"])
+    row = next(row for row in rows if row[:1] == ["body"])
     assert row[1] == "12"
     assert row[7:] == ["lines", "12", "quads;", "24", "vertices", "of", "layers", "go", "along"]
-    assert is_one_clear_line(
-        call("warp", "channel.msh", "x.msh", "--move", "cylindre:1,0"), "only outer:1, hole:1, cyl"
-    )
+    assert is_one_clear_line(call("warp", "channel.msh", "x.msh", "--move", "bodie:1,0"), "only outer:1, hole:1, body")

@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 from ..kernels.library import kernels_in_use
-from . import animate, batch, bench, clean, console, generate, improve, quality, report, reproduce, warp
+from . import animate, batch, bench, clean, console, example, generate, improve, quality, report, reproduce, warp
 from .errors import ClickException
 from .pipes import with_pipes
 
@@ -31,7 +31,7 @@ _STREAM_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EI
 app = typer.Typer(
     name="torchmesh",
     help="Untangle planar triangle meshes and give their triangles good shapes.",
-    epilog="[dim]Start here:[/]  torchmesh improve tangled.vtu better.vtu --plot picture.png"
+    epilog="[dim]Start here:[/]  torchmesh example, and torchmesh improve tangled.vtu better.vtu --plot p.png"
     "\n\n[dim]Exit status:[/]  0 every mesh valid, 1 some mesh has inverted triangles, 2 bad input or usage",
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -137,3 +137,4 @@ benchmark = typer.Typer(name="bench", help="Compare methods on a benchmark of ta
 _register(bench.run, bench.RUN_EXAMPLES, under=benchmark)
 _register(bench.show, bench.LIST_EXAMPLES, under=benchmark, name="list")
 app.add_typer(benchmark)
+_register(example.example, example.EXAMPLES)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "torchmesh warp plate.msh --list",
     "torchmesh warp plate.msh moved.vtu --move hole:1:0.5,0",
-    "torchmesh warp channel.msh moved.msh --move cylinder:0.1,0.05 --rotate cylinder:20",
+    "torchmesh warp channel.msh moved.msh --move body:0.1,0.05 --rotate body:20",
     "torchmesh warp plate.msh larger.vtu --scale hole:1:1.2",
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --improve",
     "torchmesh warp plate.msh turned.vtu --rotate hole:1:120 --steps auto",
