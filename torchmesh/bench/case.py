@@ -51,7 +51,7 @@ class Case:
     def digest(self) -> str:
         """The first half of the SHA-256 of points and triangles: the same on two machines, the case is the same."""
         digest = hashlib.sha256()
-        for array in (self.mesh.points, self.mesh.triangles, self.undeformed.points, *self.path):
+        for array in (self.mesh.points, self.mesh.triangles, self.mesh.quads, self.undeformed.points, *self.path):
             digest.update(array.numpy().tobytes())
         return digest.hexdigest()[:32]
 

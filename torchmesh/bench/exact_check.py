@@ -29,7 +29,7 @@ def faults(given: MeshBatch, after: MeshBatch) -> list[str]:
     held = {p for p, fixed in zip(positions[0], holding(given).fixed.tolist(), strict=True) if fixed}
     if not held <= set(positions[1]):
         found.append("fixed vertices have moved")
-    sides = [directed(mesh.triangles.numpy()) for mesh in (given, after)]
+    sides = [directed(mesh.triangles.numpy(), mesh.quads.numpy()) for mesh in (given, after)]
     if max(sides[1].values()) > 1:
         found.append("an edge has two triangles on one side")
     curves = [
@@ -38,8 +38,8 @@ def faults(given: MeshBatch, after: MeshBatch) -> list[str]:
     ]
     if curves[0] != curves[1]:
         found.append("another boundary")
-    # The Euler number is V - E + T, and 2 E = 3 T + the number of boundary edges.
-    euler = [2 * len(np.unique(mesh.triangles.numpy())) - len(mesh.triangles) for mesh in (given, after)]
+    # The Euler number is V - E + F, and 2 E = 3 T + 4 Q + the number of boundary edges.
+    euler = [2 * len(_used(mesh)) - len(mesh.triangles) - 2 * len(mesh.quads) for mesh in (given, after)]
     if euler[0] != euler[1]:
         found.append("another Euler number")
     return found
@@ -70,9 +70,17 @@ def double_areas(points: Array, triangles: Array) -> Array:
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
-def directed(triangles: Array) -> Counter:
-    """How many triangles run along each directed edge."""
-    return Counter((u, v) for a, b, c in triangles.tolist() for u, v in ((a, b), (b, c), (c, a)))
+def directed(triangles: Array, quads: Array | None = None) -> Counter:
+    """How many triangles and quads run along each directed edge."""
+    sides = Counter((u, v) for a, b, c in triangles.tolist() for u, v in ((a, b), (b, c), (c, a)))
+    for a, b, c, d in () if quads is None else quads.tolist():
+        sides.update(((a, b), (b, c), (c, d), (d, a)))
+    return sides
+
+
+def _used(mesh: MeshBatch) -> Array:
+    """The vertices that triangles or quads have."""
+    return np.unique(np.concatenate([mesh.triangles.numpy().ravel(), mesh.quads.numpy().ravel()]))
 
 
 def boundary_is_simple(mesh: MeshBatch) -> bool:

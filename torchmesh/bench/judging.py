@@ -65,7 +65,7 @@ def judge(case: Case | MeshBatch, after: Any) -> Verdict:
         float(measured.max),
         float(minimum_angle(after)),
         rows,
-        rows and torch.equal(after.triangles, given.triangles),
+        rows and torch.equal(after.triangles, given.triangles) and torch.equal(after.quads, given.quads),
         median,
         largest,
     )
@@ -99,7 +99,7 @@ def lost_interfaces(given: MeshBatch, after: MeshBatch) -> list[str]:
 
 def folded_quads(given: MeshBatch, after: MeshBatch) -> list[str]:
     """In words, whether quads are gone or have a corner that is inverted or flat."""
-    before, now = (getattr(mesh, "quads", mesh.triangles[:0]) for mesh in (given, after))
+    before, now = given.quads, after.quads
     if len(before) != len(now):
         return [f"{len(before)} quads became {len(now)}"]
     if not len(now):

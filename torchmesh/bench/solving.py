@@ -64,7 +64,7 @@ def solve(case: Case, method: Method) -> dict[str, Any]:
 
 def copied(mesh: MeshBatch) -> MeshBatch:
     """The mesh with tensors of its own, so that a method that writes into them spoils nothing for the others."""
-    names = ("points", "triangles", "fixed", "constrained_edges", "point_offsets", "triangle_offsets", "frames")
+    names = [f.name for f in dataclasses.fields(mesh) if not f.name.startswith("_")]
     return dataclasses.replace(mesh, **{name: getattr(mesh, name).clone() for name in names}, _twin=None)
 
 

@@ -19,7 +19,7 @@ def _known(mesh: "MeshBatch", undeformed: "MeshBatch") -> "tuple[np.ndarray, np.
     """(V,) bool the vertices whose displacement is given, and (V, 2) the displacements of all."""
     from ...mesh.interfaces import holding
 
-    if len(getattr(mesh, "quads", ())):
+    if len(mesh.quads):
         raise Refused("it takes triangles only")
     if len(mesh.points) != len(undeformed.points):
         raise Refused("the mesh has other vertices than the undeformed one")

@@ -17,7 +17,7 @@ def _moved(mesh: "MeshBatch", undeformed: "MeshBatch") -> "Tensor":
 
     from ..network import load
 
-    if len(getattr(mesh, "quads", ())):
+    if len(mesh.quads):
         raise Refused("it takes triangles only")
     if len(mesh.points) != len(undeformed.points):
         raise Refused("the mesh has other vertices than the undeformed one")

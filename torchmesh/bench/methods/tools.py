@@ -40,7 +40,7 @@ def _kept(mesh: "MeshBatch", tool: Tool, holds: bool) -> Result:
 
 
 def _refuse_quads(mesh: "MeshBatch") -> None:
-    if len(getattr(mesh, "quads", ())):
+    if len(mesh.quads):
         raise Refused("it takes triangles only")
 
 

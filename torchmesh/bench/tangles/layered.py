@@ -1,4 +1,4 @@
-"""Layers of thin triangles round a body that turns in its far field.
+"""Layers of thin triangles, or of quads, round a body that turns in its far field.
 
 The mesh is an O-grid of an ellipse: rows of cells whose heights grow with the distance from the wall.
 """
@@ -49,4 +49,26 @@ def layers(rng: np.random.Generator, degrees: float) -> Drawn | None:
     return Drawn(mesh, femwarp(mesh, goal).points, details=details)
 
 
-FAMILIES = (Family("layers", layers, (30, 60, 90, 120, 150, 180), "degrees turned", "a body with layers, turned"),)
+def quads(rng: np.random.Generator, degrees: float) -> Drawn | None:
+    """An ellipse in a layer of quads, with triangles outside, turned."""
+    aspect, sides = rng.uniform(1, 3), int(rng.integers(16, 40))
+    first, growth = rng.uniform(0.02, 0.08), rng.uniform(1.1, 1.4)
+    points, cells = o_grid(aspect, sides, first, growth, 2.0)
+    if len(cells) > 800:
+        return None
+    layers = int(rng.integers(2, 6)) * sides
+    inner, (a, b, c, d) = cells[:layers], cells[layers:].T
+    outer = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    mesh = MeshBatch.from_arrays(points, outer, quads=inner)
+    goal = mesh.points.clone()
+    goal[:sides] = goal[:sides] @ turn(degrees * float(rng.choice([-1, 1])))
+    details = {"aspect": round(aspect, 3), "first": round(first, 4), "quads": len(inner)}
+    return Drawn(mesh, femwarp(mesh, goal).points, details=details)
+
+
+FAMILIES = (
+    Family("layers", layers, (30, 60, 90, 120, 150, 180), "degrees turned", "a body with layers, turned"),
+    Family(
+        "quads", quads, (30, 60, 90, 120, 150, 180), "degrees turned", "a body in quads, with triangles outside, turned"
+    ),
+)
