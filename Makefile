@@ -26,8 +26,11 @@ test-fast: .venv/test
 	$(BIN)/ruff format --check .
 	$(PYTEST) -m "not slow"
 
+# Each run is kept as JSON, with groups, versions and commit, in .benchmarks, and compared with the last one.
 bench: .venv/test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name -o addopts=
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks --benchmark-only --benchmark-autosave \
+	  $(if $(wildcard .benchmarks/*/*.json),--benchmark-compare) \
+	  --benchmark-columns=min,median,rounds --benchmark-group-by=group --benchmark-sort=name -o addopts=
 
 docs: .venv/docs
 	$(BIN)/python -m mkdocs build --strict

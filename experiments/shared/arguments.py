@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import csv
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from experiments.shared import clocks
+from torchmesh.bench.provenance import provenance
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
@@ -45,3 +48,17 @@ def sizes_and_cache(description: str | None, argv: Sequence[str] | None, *triang
     add_sizes(options, *triangles)
     add_cache(options)
     return parse(options, argv)
+
+
+def write_rows(given: argparse.Namespace, name: str, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write NAME.csv, the rows, and NAME.run.json, where they come from: options, versions, processor and commit.
+
+    Both go to the folder `given.out`.  The columns are those of the first row.
+    """
+    given.out.mkdir(parents=True, exist_ok=True)
+    with open(given.out / f"{name}.csv", "w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]) if rows else [], extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    record = {"options": vars(given), **provenance()}
+    (given.out / f"{name}.run.json").write_text(json.dumps(record, indent=1, default=str) + "\n", encoding="utf-8")

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from torchmesh.bench.provenance import processor
 from torchmesh.bench.stopwatch import Seconds, Stopwatch
 
 
@@ -61,10 +62,4 @@ def one_thread() -> None:
 
 def machine() -> str:
     """The processor, its cores and how busy it is now."""
-    model = "unknown processor"
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return f"{model}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at {time.strftime('%Y-%m-%d %H:%M')}"
+    return f"{processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at {time.strftime('%Y-%m-%d %H:%M')}"

@@ -34,6 +34,7 @@ def objective_of(batch: tm.MeshBatch) -> tuple[MeshObjective, torch.Tensor]:
     return objective, packing.unknowns
 
 
+@pytest.mark.benchmark(group="kernels")
 @pytest.mark.parametrize(
     "energy", [InverseMeanRatio(), UntangleBeta(0.1), Regularised(0.1)], ids=lambda e: type(e).__name__
 )
@@ -44,6 +45,7 @@ def test_kernel(benchmark, cells, energy):
     benchmark(energy_and_forces, coordinates, chunks_of(objective.rows, energy, equilateral()))
 
 
+@pytest.mark.benchmark(group="minimiser")
 @pytest.mark.parametrize(("cells", "count"), [(33, 1), (33, 60), (440, 1)])
 def test_ten_lbfgs_iterations(benchmark, cells, count):
     objective, unknowns = objective_of(tm.join([grid(cells, seed=seed) for seed in range(count)]))
@@ -51,6 +53,7 @@ def test_ten_lbfgs_iterations(benchmark, cells, count):
     benchmark.pedantic(minimise, (objective, unknowns, options), rounds=5, warmup_rounds=1)
 
 
+@pytest.mark.benchmark(group="flips")
 @pytest.mark.parametrize("cells", [33, 220])
 def test_flip_to_delaunay(benchmark, cells):
     mesh = grid(cells, jitter=0.3)
@@ -58,14 +61,28 @@ def test_flip_to_delaunay(benchmark, cells):
     benchmark.pedantic(tm.flip_to_delaunay, (mesh,), rounds=5, warmup_rounds=1)
 
 
+@pytest.mark.benchmark(group="improve")
 @pytest.mark.parametrize("name", ["circle", "bar", "gate"])
 def test_improve_one(benchmark, name):
     _, tangled = moving(name)
     benchmark.pedantic(tm.improve, (tangled,), rounds=3, warmup_rounds=1)
 
 
+@pytest.mark.benchmark(group="improve")
 @pytest.mark.parametrize("count", [3, 30])
 def test_improve_batch(benchmark, count):
     tangled = [moving(name)[1] for name in ("circle", "bar", "gate")]
     batch = tm.join(tangled * (count // 3))
     benchmark.pedantic(tm.improve, (batch,), rounds=2, warmup_rounds=0)
+
+
+@pytest.mark.benchmark(group="layers")
+@pytest.mark.parametrize("count", [16])
+def test_layer_forward_and_backward(benchmark, count):
+    batch = tm.join([grid(10, jitter=0.6, seed=seed) for seed in range(count)])
+    layer = tm.nn.Untangle(batch)
+
+    def train() -> None:
+        layer(batch.points.clone().requires_grad_()).square().sum().backward()
+
+    benchmark.pedantic(train, rounds=3, warmup_rounds=1)

@@ -11,7 +11,7 @@ FOLDER = ROOT / "experiments"
 SCRIPTS = sorted(
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
     for path in FOLDER.rglob("*.py")
-    if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+    if '__name__ == "__main__"' in path.read_text(encoding="utf-8") and path != FOLDER / "__main__.py"
 )
 PAGES = [*ROOT.glob("*.md"), *FOLDER.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 NEEDS = {
@@ -75,3 +75,33 @@ def test_scripts_are_short():
     lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in FOLDER.rglob("*.py")}
     assert len(lengths) > len(SCRIPTS)
     assert [path.name for path, length in lengths.items() if length >= 200] == []
+
+
+def test_one_command_line_has_them_all(capsys):
+    from experiments.__main__ import main
+
+    assert main([]) == 0
+    listed = capsys.readouterr().out
+    for name in SCRIPTS:
+        assert name.removeprefix("experiments.") in listed
+    with pytest.raises(SystemExit):
+        main(["draw_loop", "--help"])
+    assert "--out" in capsys.readouterr().out
+    assert main(["no_such_thing"]) == 2
+    assert "no experiment no_such_thing" in capsys.readouterr().err
+
+
+def test_results_say_where_they_come_from(tmp_path):
+    import json
+
+    from experiments.shared import arguments
+
+    options = arguments.parser("A script.")
+    arguments.add_out(options, "some")
+    given = arguments.parse(options, ["--out", str(tmp_path)])
+    arguments.write_rows(given, "numbers", [{"a": 1, "b": "x"}, {"a": 2, "b": None}])
+    assert (tmp_path / "numbers.csv").read_text().splitlines() == ["a,b", "1,x", "2,"]
+    record = json.loads((tmp_path / "numbers.run.json").read_text())
+    assert record["options"]["out"] == str(tmp_path)
+    assert record["versions"]["torch"]
+    assert record["processor"]

@@ -550,3 +550,14 @@ def test_positions_that_are_not_finite_are_refused_in_either_precision(dtype, va
     points[5, 1] = value
     with pytest.raises(InvalidMeshError, match=r"points row 5 .* every coordinate must be finite"):
         MeshBatch.from_arrays(points, triangles)
+
+
+def test_pinning_reaches_every_tensor(monkeypatch):
+    """Without a GPU there is nothing to pin: the calls are counted."""
+    pinned = []
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: pinned.append(tensor) or tensor.clone())
+    mesh = join(three())
+    again = mesh.pin_memory()
+    assert same(again, mesh)
+    names = [f.name for f in dataclasses.fields(MeshBatch) if isinstance(getattr(mesh, f.name), torch.Tensor)]
+    assert {id(tensor) for tensor in pinned} == {id(getattr(mesh, name)) for name in names}
