@@ -163,7 +163,7 @@ def test_the_examples_of_the_help_run(call, example, request):
     if "--count" in arguments:  # a few are as good a test
         arguments[arguments.index("--count") + 1] = "3"
     done = call(*arguments)
-    tangled = arguments[0] == "quality" and {"tangled.vtu", "run.xdmf"} & {*arguments}
+    tangled = arguments[0] in ("quality", "info") and {"tangled.vtu", "run.xdmf"} & {*arguments}
     assert done.status == (1 if tangled else 0), done
 
 

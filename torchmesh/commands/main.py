@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 from ..kernels.library import kernels_in_use
-from . import animate, batch, bench, clean, console, example, generate, improve, quality, report, reproduce, warp
+from . import animate, batch, bench, clean, console, example, generate, improve, info, quality, report, reproduce, warp
 from .errors import ClickException
 from .pipes import with_pipes
 
@@ -138,3 +138,4 @@ _register(bench.run, bench.RUN_EXAMPLES, under=benchmark)
 _register(bench.show, bench.LIST_EXAMPLES, under=benchmark, name="list")
 app.add_typer(benchmark)
 _register(example.example, example.EXAMPLES)
+_register(info.info, info.EXAMPLES, pipes=True)

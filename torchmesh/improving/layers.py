@@ -216,6 +216,18 @@ def _notes(layers: Layers, owner: Tensor, points: Tensor, walls: Mapping[str, Te
     return notes
 
 
+def layers_in_words(mesh: MeshBatch, walls: Mapping[str, Tensor]) -> str:
+    """The layers of a batch of one, as messages tell them; empty for none.
+
+    walls  by name, the edges (K, 2) that are called so
+    """
+    layers = find_layers(mesh)
+    if not len(layers.row):
+        return ""
+    text = "; ".join(_notes(layers, torch.zeros_like(layers.row), mesh.points, walls).values())
+    return text.removeprefix("; ").replace(": kept", "")
+
+
 def _wall_text(layers: Layers, points: Tensor, walls: Mapping[str, Tensor]) -> str:
     """What the wall of one layer is called: by its names, or else by a position on it.
 

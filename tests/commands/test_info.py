@@ -1,0 +1,69 @@
+"""`torchmesh info`: what is in a file."""
+
+import json
+
+import meshes
+import meshio
+import numpy as np
+from command_line import crossed
+from layered import round_body
+
+from torchmesh import quality, write
+
+
+def told(call, *arguments) -> tuple[int, dict]:
+    done = call("info", *arguments, "--json")
+    return done.status, json.loads(done.out)
+
+
+def test_elements_groups_fields_and_regions(call):
+    status, record = told(call, "channel.msh")
+    assert status == 0
+    assert record["format"] == "gmsh"
+    assert record["elements"] == {"line": 12, "triangle": 96, "quad": 24}
+    groups = {group["name"]: group for group in record["groups"]}
+    assert groups["body"] | {"length": 0} == {
+        "name": "body", "kind": "lines", "vertices": 12, "length": 0, "triangles": 0, "quads": 12,
+    }  # fmt: skip
+    assert groups["fluid"]["quads"] == 24
+    assert record["regions"]["told_by"] == "cell data 'gmsh:physical' and 'gmsh:geometrical'"
+    status, record = told(call, "plate.vtu")
+    fields = {field["name"]: field for field in record["fields"]}
+    assert (fields["displacement"]["components"], fields["displacement"]["maximum"]) == (3, 0.1)
+    out = call("info", "channel.msh").out
+    for word in ("elements: 12 line, 96 triangle, 24 quad", "units: the file states none", "body", "gmsh:physical"):
+        assert word in out
+
+
+def test_what_is_no_region_is_said(call, folder):
+    points, triangles = meshes.grid_arrays(4, 4)
+    rank = np.arange(len(triangles)) % 2
+    meshio.Mesh(points, [("triangle", triangles)], cell_data={"rank": [rank]}).write(folder / "parts.vtu")
+    assert told(call, "parts.vtu")[1]["regions"]["not_taken"] == ["rank"]
+    assert told(call, "parts.vtu", "--regions", "rank")[1]["regions"]["count"] == 2
+
+
+def test_layers_are_found(call, folder):
+    write(folder / "body.vtu", round_body())
+    assert "layer of" in told(call, "body.vtu")[1]["layers"]
+
+
+def test_problems_are_told_and_the_exit_status_says_it(call, folder):
+    status, record = told(call, "tangled.vtu")
+    assert (status, record["inverted"]) == (1, int(quality(meshes.moved_hole()).inverted[0]))
+    crossed().write(folder / "crossed.vtu")
+    status, record = told(call, "crossed.vtu")
+    assert status == 1
+    assert "meet at about" in record["problems"][0]
+    status, record = told(call, "nan.vtk")
+    assert status == 2
+    assert record["elements"]["triangle"] == 18
+    assert "points row 5" in record["problems"][0]
+    assert call("info", "empty.vtu").status == 2
+
+
+def test_a_time_series_is_one(call):
+    status, record = told(call, "run.xdmf")
+    assert status == 1
+    assert (record["steps"], record["times"]) == (3, [0.0, 1.0, 2.0])
+    assert "time series: 3 steps, time 0 to 2" in call("info", "run.xdmf").out
