@@ -41,7 +41,7 @@ HOLDS_REGIONS = {
     "netgen",
     "avsucd",
 }
-HOLDS_REGIONS |= {"freefem", "mfem", "triangle", "sms", "comsol"}
+HOLDS_REGIONS |= {"unv", "freefem", "mfem", "triangle", "sms", "comsol"}
 HOLDS_LINES = {*HOLDS_REGIONS, "su2", "abaqus", "mdpa", "permas", "adcirc"} - {"avsucd"}
 
 

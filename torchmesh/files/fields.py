@@ -13,6 +13,7 @@ REGION_TAGS = (
     "avsucd:material", "netgen:index", "obj:group_ids", "MaterialIDs", "MaterialIds", "material", "region",
     "kratos:properties", "exodus:block", "freefem:label", "mfem:attribute", "triangle:attribute", "sms:material",
     "comsol:entity", "adcirc:boundary", "vtm:block",
+    "unv:property",
 )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ def test_every_extension_leads_to_its_format():
 
 
 def test_an_unknown_extension_is_told_with_the_known_ones():
-    with pytest.raises(MeshIOError, match=r"a\.xyz: the extension '\.xyz' is not known; known ones are .*\.mphtxt$"):
+    with pytest.raises(MeshIOError, match=r"a\.xyz: the extension '\.xyz' is not known; known ones are .*\.unv$"):
         format_of(Path("a.xyz"))
 
 

@@ -20,6 +20,7 @@ from .selafin import SELAFIN
 from .sms import SMS
 from .su2 import SU2
 from .triangle import TRIANGLE
+from .unv import UNV
 from .vtk import VTK
 from .vtkhdf import VTKHDF
 from .vtm import VTM
@@ -49,6 +50,7 @@ _ALL = (
     SMS,
     SELAFIN,
     COMSOL,
+    UNV,
 )
 
 FORMATS: dict[str, Format] = {form.name: form for form in _ALL}
