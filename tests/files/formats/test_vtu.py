@@ -29,7 +29,7 @@ def test_only_the_points_and_their_range_change(source, tmp_path):
     assert range_of in old
     assert new == old.replace("1.49", repr(2**0.5)).replace('RangeMin="0"', 'RangeMin="0.0"')
     assert before == "0 0 0 1 0 0 1 1 0 0 1 0 1.4 0.5 0"
-    assert [float(word) for word in after.split()] == [0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0.5, 0.5, 0]
+    assert after == before.replace("1.4", "0.5")
 
 
 @pytest.mark.parametrize(("number", "size"), [(69, 3), (76, 3), (7, 3)])

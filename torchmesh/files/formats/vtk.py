@@ -16,7 +16,7 @@ from .checks import check_vtk
 from .format import Document, Format
 from .skipped import each_once
 from .vtk_legacy import TYPE_NAMES, LegacyArray, VtkLegacy, coded
-from .vtk_xml import as_text
+from .vtk_xml import as_text, renewed_text
 
 # The sections of cells of POLYDATA in the order of their data; VTK's type of cells with one (two) and more nodes.
 _POLYGONS = {"VERTICES": (1, 2), "LINES": (3, 4), "POLYGONS": (7, 7), "TRIANGLE_STRIPS": (6, 6)}
@@ -93,8 +93,8 @@ class VtkFile:
             if self.legacy.binary:
                 edits.append((start, end, _binary(array.kind, values)))
             else:
-                text = as_text(np.asarray(values).astype("u1" if array.kind == "bit" else array.kind), True)
-                edits.append((start, end, text + (old[len(old.rstrip()) :] or b"\n")))
+                kind = "u1" if array.kind == "bit" else array.kind
+                edits.append((start, end, renewed_text(old, array.values, np.asarray(values).astype(kind))))
             note = _METADATA.match(self.legacy.data, end)
             if note is not None:
                 edits.append((*note.span(), _with_norms(note[0], values)))

@@ -216,7 +216,7 @@ class VtkXml:
         before, after = old[: len(old) - len(old.lstrip())], old[len(old.rstrip()) :]
         if array.tag.get("format", "ascii") != "ascii":
             return before + encoded(self._raw(array, values), self.coding, False) + after
-        return before + as_text(np.asarray(values).astype(_TYPES[array.tag["type"]]), b"\n" in old.strip()) + after
+        return renewed_text(old, self.values(array), np.asarray(values).astype(_TYPES[array.tag["type"]]))
 
     def _addition(self, section: str, piece: int, name: str, values: np.ndarray) -> tuple[int, int, bytes]:
         """The text of a new array, and where it goes."""
@@ -307,6 +307,20 @@ def as_text(values: np.ndarray, by_row: bool) -> bytes:
     else:
         texts = [" ".join(map(repr, row)) for row in rows.tolist()]
     return ("\n" if by_row else " ").join(texts).encode()
+
+
+def renewed_text(text: bytes, before: np.ndarray, after: np.ndarray) -> bytes:
+    """The text of numbers with other words for those that changed; written anew if it has another number of words."""
+    words = list(re.finditer(rb"\S+", text))
+    old, new = before.reshape(-1), after.reshape(-1)
+    if len(words) != len(old) or len(old) != len(new):
+        head, tail = text[: len(text) - len(text.lstrip())], text[len(text.rstrip()) :]
+        return head + as_text(after, b"\n" in text.strip()) + (tail or b"\n")
+    out, at = [], 0
+    for k in np.flatnonzero((old != new) & ~((old != old) & (new != new))).tolist():
+        out += [text[at : words[k].start()], as_text(new[k : k + 1], False)]
+        at = words[k].end()
+    return b"".join([*out, text[at:]])
 
 
 def escaped(text: str) -> str:
