@@ -153,7 +153,7 @@ def _read_strings(
 
 def _string_lines(mesh: meshio.Mesh, strings: list[tuple[str, int | None]]) -> Iterator[str]:
     """The sections of boundaries: the lines of each string in the order in which they follow one another."""
-    lines = [(block.data, tagged(mesh, STRING, i)) for i, block in enumerate(mesh.cells) if block.type == "line"]
+    lines = [(block.data, tagged(mesh, STRING, i, 1)) for i, block in enumerate(mesh.cells) if block.type == "line"]
     edges = np.concatenate([np.zeros((0, 2), np.int64), *(found for found, _ in lines)])
     tags = np.concatenate([np.zeros(0, np.int64), *(found for _, found in lines)])
     groups: dict[bool, list[tuple[int | None, list[int]]]] = {True: [], False: []}

@@ -104,6 +104,13 @@ class TriangleFormat(Format):
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """Beside what other formats do, fields lose their names, and cell data has one component."""
         fitted, lost = super().fit(mesh)
+        kept = [i for i, block in enumerate(fitted.cells) if block.type in ("triangle", "triangle6", "line")]
+        lost |= {f"{block.type} cells" for i, block in enumerate(fitted.cells) if i not in kept}
+        if any(fitted.cells[i].type == "triangle6" for i in kept):  # one file has elements of one size
+            lost |= {"triangle cells"} if any(fitted.cells[i].type == "triangle" for i in kept) else set()
+            kept = [i for i in kept if fitted.cells[i].type != "triangle"]
+        fitted.cells = [fitted.cells[i] for i in kept]
+        fitted.cell_data = {name: [values[i] for i in kept] for name, values in fitted.cell_data.items()}
         for name in [name for name, values in fitted.cell_data.items() if any(np.ndim(v) > 1 for v in values)]:
             del fitted.cell_data[name]
             lost.add(f"cell data {name!r}")
@@ -119,7 +126,12 @@ class TriangleFormat(Format):
 
 
 TRIANGLE = TriangleFormat(
-    "triangle", (".node", ".ele", ".poly"), ("triangle", "line"), point_data="scalars", cell_data="all", planar=True
+    "triangle",
+    (".node", ".ele", ".poly"),
+    ("triangle", "line", "higher"),
+    point_data="scalars",
+    cell_data="all",
+    planar=True,
 )
 
 
@@ -200,12 +212,14 @@ def _new_texts(mesh: meshio.Mesh) -> dict[str, Iterator[str] | list[str]]:
     table = np.column_stack([names.astype(object), *(np.asarray(column).astype(object) for column in columns)])
     head = f"{len(names)} 2 {len(data)} {int(markers is not None)}\n"
     texts: dict[str, Iterator[str] | list[str]] = {".node": [head, *number_lines(table)]}
-    faces = [i for i, block in enumerate(mesh.cells) if block.type == "triangle"]
+    faces = [i for i, block in enumerate(mesh.cells) if block.type != "line"]
+    six = any(mesh.cells[i].type == "triangle6" for i in faces)
     fields = [values for name, values in mesh.cell_data.items() if name != MARKER]
-    nodes = np.concatenate([np.zeros((0, 3), np.int64), *(mesh.cells[i].data for i in faces)]) + 1
+    nodes = np.concatenate([mesh.cells[i].data for i in faces]) + 1
+    nodes = nodes[:, np.argsort(_SECOND_ORDER)] if six else nodes
     values = [np.concatenate([np.asarray(field[i]).astype(object) for i in faces]) for field in fields]
     rows = np.column_stack([(1 + np.arange(len(nodes))).astype(object), nodes.astype(object), *values])
-    texts[".ele"] = [f"{len(nodes)} 3 {len(fields)}\n", *number_lines(rows)]
+    texts[".ele"] = [f"{len(nodes)} {nodes.shape[1]} {len(fields)}\n", *number_lines(rows)]
     lines = [i for i, block in enumerate(mesh.cells) if block.type == "line"]
     if lines:
         name = MARKER if MARKER in mesh.cell_data else region_tag(mesh) or MARKER
