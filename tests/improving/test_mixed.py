@@ -188,3 +188,13 @@ def test_values_are_transferred_in_quads():
 def test_a_mesh_without_quads_takes_the_way_it_took():
     mesh = grid(5, 5)
     assert tm.improve(mesh)[1].split_quads is None
+
+
+def test_a_quad_goes_where_it_leaves_only_triangles_inverted():
+    """A quad that turns inwards, and the triangle in its notch: with one of them upright, the other is inverted."""
+    points = [[0.0, 0], [3, 0], [1, 1], [0, 3]]
+    mesh = MeshBatch.from_arrays(points, [[1, 3, 2]], quads=[[0, 1, 2, 3]])
+    assert not tm.improve(mesh)[1].valid.any()
+    after, report = tm.improve(mesh, ImproveOptions(quads="split"))
+    assert report.valid.all()
+    assert (len(after.triangles), len(after.quads)) == (3, 0)

@@ -20,8 +20,17 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.connectivity import corners_of
 from ..mesh.measure import quality
-from ..mesh.quads import better_diagonals, halved, split_quads, triangles_alone, whole
+from ..mesh.quads import (
+    better_diagonals,
+    halved,
+    inverted_quads,
+    quad_mesh,
+    split_quads,
+    triangles_alone,
+    whole,
+)
 from ..mesh.ragged import counts_from_offsets, segment_count
 from .options import ImproveOptions
 from .report import Report
@@ -43,12 +52,12 @@ def improve_mixed(work: Work, batch: MeshBatch, options: ImproveOptions, **watch
     chosen = torch.zeros(len(batch.quads), dtype=torch.bool, device=batch.points.device)
     asked, given, found = options, batch, _improved(work, batch, options, watch)
     for _ in range(_SPLITS if options.quads == "split" else 0):
-        inverted = ~found[1].quality.quad_upright
-        if not bool(inverted.any()):
+        in_the_way = _in_the_way(given, *found)
+        if not bool(in_the_way.any()):
             break
         if isinstance(options.smooth.targets, Tensor):
             raise ValueError("ImproveOptions.quads='split' changes the elements that smooth.targets are matrices of")
-        chosen[(~chosen).nonzero().squeeze(1)[inverted]] = True
+        chosen[(~chosen).nonzero().squeeze(1)[in_the_way]] = True
         like = batch if options.reference is None else options.reference
         other = better_diagonals(like, chosen)
         given = split_quads(batch, chosen, other)
@@ -57,6 +66,20 @@ def improve_mixed(work: Work, batch: MeshBatch, options: ImproveOptions, **watch
         found = _improved(work, given, asked, watch)
     mesh, report = found
     return mesh, replace(report, split_quads=chosen, messages=_messages(batch, report, chosen, options))
+
+
+def _in_the_way(given: MeshBatch, mesh: MeshBatch, report: Report) -> Tensor:
+    """(Q,) bool, the quads to split of the meshes that are not valid: the inverted ones.
+
+    Where only triangles are inverted, these are the quads that came inverted, or else those at such triangles.
+    """
+    invalid, owner = ~report.valid, quad_mesh(mesh)
+    found = ~report.quality.quad_upright
+    touched = corners_of(mesh.triangles, ~report.quality.upright, len(mesh.points))[mesh.quads].any(1)
+    for others in (inverted_quads(given.points, given.quads), touched):
+        left = invalid & (segment_count(found, mesh.quad_offsets) == 0)
+        found = found | (others & left[owner])
+    return found
 
 
 def _improved(work: Work, batch: MeshBatch, options: ImproveOptions, watch: dict[str, Any]) -> tuple[MeshBatch, Report]:
