@@ -284,7 +284,7 @@ def _told_by(source: "Source") -> dict[str, Any]:
     return {
         "cell_data": list(content.told_by.data),
         "cell_sets": list(content.told_by.sets),
-        "regions": int(content.region.max()) + 1,
+        "regions": int(content.region.max(initial=0)) + 1,
         "passed_over": list(content.told_by.others),
     }
 
