@@ -172,7 +172,9 @@ def draft(
     dropped += FORMATS[document.format].left_behind(document, format_of(path, document), same_rows)
     if correspondence.changed and document.format == format_of(path, document).name:
         dropped += document.by_element
-    content.points = _in_space(path, content.points, mesh, document)
+    before, content.points = content.points, _in_space(path, content.points, mesh, document)
+    if content.points.shape[1] < before.shape[1] and not np.array_equal(content.points, before[:, :2]):
+        _wind(content)
     stale = [] if fields is None or not same_rows else _stale(document, content.points)
     made = Draft.of(path, content, document, same_rows, like.path, tuple(dropped), tuple(stale))
     return made if placed is None else replace(made, curved=placed.summary())
@@ -196,6 +198,20 @@ def _new_content(mesh: MeshBatch) -> meshio.Mesh:
     plain = bool((mesh.fixed == default_fixed(mesh)).all())
     point_data = {} if plain else {"fixed": mesh.fixed.numpy().astype(np.int32)}
     return meshio.Mesh(lift(mesh).numpy(), cells, point_data=point_data)
+
+
+def _wind(content: meshio.Mesh) -> None:
+    """Turns the triangles and quads of a mesh that was laid into the plane round, if it shows its back there."""
+    area = 0.0
+    for block in content.cells:
+        if block.type == "triangle":
+            a, b, c = content.points[block.data].transpose(1, 2, 0)
+            area += float(((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]).sum())
+    if area < 0:
+        content.cells = [
+            meshio.CellBlock(b.type, b.data[:, ::-1] if b.type in ("triangle", "quad") else b.data)
+            for b in content.cells
+        ]
 
 
 def _in_space(path: Path, points: np.ndarray, mesh: MeshBatch, like: Document | None) -> np.ndarray:
