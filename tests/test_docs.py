@@ -9,6 +9,7 @@ from pathlib import Path
 
 import documents
 import pytest
+from browser import chromium
 from documents import blocks
 
 import torchmesh
@@ -109,20 +110,43 @@ def test_columns_of_a_docstring_become_a_list(docstrings):
     assert docstrings.lists_of_columns(drawing) == drawing
 
 
-def test_the_site_builds_without_warnings_and_asks_no_other_server(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The documentation, built with warnings as errors."""
     pytest.importorskip("mkdocs")
     pytest.importorskip("material")
     pytest.importorskip("mkdocstrings")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"]
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    pages = list((tmp_path / "site").rglob("*.html"))
+    return folder
+
+
+def test_the_site_asks_no_other_server(site):
+    pages = list(site.rglob("*.html"))
     assert len(pages) >= len(PAGES)
     for page in pages:
         text = page.read_text(encoding="utf-8")
         loaded = re.findall(r"<(?:script|img|iframe)[^>]*\ssrc=\"?([^\s\">]+)", text)
         loaded += re.findall(r"<link[^>]*rel=\"?(?:stylesheet|icon|preconnect|preload)[^>]*href=\"?([^\s\">]+)", text)
         assert not [url for url in loaded if url.startswith(("http:", "https:", "//"))], page
-    reference = (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    reference = (site / "api.html").read_text(encoding="utf-8")
     for name in ("torchmesh.improve", "torchmesh.MeshBatch", "torchmesh.report_page"):
         assert f'id="{name}"' in reference
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1600, "light")])
+def test_the_search_works_in_a_page_opened_from_a_file(site, width, scheme):
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        trouble: list[str] = []
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("console", lambda message: trouble.append(message.text))
+        page.goto((site / "guides" / "batches.html").as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.evaluate("document.getElementById('__search').click()")
+        page.locator(".md-search__input").press_sequentially("untangle", delay=30)
+        page.wait_for_selector(".md-search-result__link")
+        assert page.locator(".md-search-result__link").count() >= 3
+        assert trouble == []
