@@ -108,3 +108,13 @@ def test_patterns_choose_as_those_of_glob(tmp_path):
         expected = sorted({file for file in glob.glob(path, recursive=True) if Path(file).is_file()})
         assert sorted(_matches(path, "")[1]) == expected, pattern
     assert sorted(files_below(str(tmp_path))) == sorted(n for n in names if "/." not in f"/{n}")
+
+
+def test_files_that_belong_to_another_one_are_no_inputs(tmp_path):
+    folder = tmp_path / "in"
+    (folder / "parts").mkdir(parents=True)
+    for name in ("a.1.node", "a.1.ele", "a.1.poly", "alone.ele", "b.xdmf", "b.h5", "parts/left.vtu", "parts/free.vtu"):
+        (folder / name).touch()
+    (folder / "c.vtm").write_text('<VTKFile><DataSet index="0" file="parts/left.vtu"/></VTKFile>')
+    wanted = ["a.1.node", "alone.ele", "b.xdmf", "c.vtm", "parts/free.vtu"]
+    assert result_names(folder, tmp_path / "out") == wanted

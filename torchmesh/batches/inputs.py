@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..errors import MeshIOError
 from ..files.formats.registry import format_of, known_extensions
+from ..files.formats.vtm import parts_of
 from ..files.pvd import PVD, is_pvd, pvd_steps
 from .batches import Job
 from .folder_lock import STAGING
@@ -109,7 +110,8 @@ def skipped_files(paths: Paths, out: Path) -> list[str]:
 def _sorted_out(folder: str, results: str) -> tuple[list[str], list[str]]:
     """The mesh files below a folder, and the other files.
 
-    The steps of a collection (.pvd) and the data of an XDMF file are part of these, and stand in neither list.
+    The steps of a collection (.pvd), the blocks of a list (.vtm), the data of an XDMF file, and the elements and the
+    segments beside nodes (.node) are part of these, and stand in neither list.
     """
     known = {*known_extensions(), PVD}
     found = [os.path.join(folder, file) for file in files_below(folder, results)]
@@ -121,6 +123,11 @@ def _sorted_out(folder: str, results: str) -> tuple[list[str], list[str]]:
                 parts.update(os.path.abspath(step) for _, step in pvd_steps(Path(file)))
         elif file.lower().endswith((".xdmf", ".xmf")):
             parts.update(os.path.abspath(os.path.splitext(file)[0] + end) for end in (".h5", ".hdf5", ".bin"))
+        elif file.lower().endswith(".node"):
+            ends = (".ele", ".poly", ".edge", ".neigh", ".area")
+            parts.update(os.path.abspath(os.path.splitext(file)[0] + end) for end in ends)
+        elif file.lower().endswith(".vtm"):
+            parts.update(os.path.abspath(part) for part in parts_of(Path(file)))
     found = [file for file in found if os.path.abspath(file) not in parts]
     meshes = [file for file in found if os.path.splitext(file)[1].lower() in known]
     return meshes, [file for file in found if os.path.splitext(file)[1].lower() not in known]

@@ -114,6 +114,15 @@ class VtmFormat(Format):
 VTM = VtmFormat("vtm", (".vtm",), ALL_CELLS, cell_sets=True, point_sets=True, set_arrays=True, field_data=True)
 
 
+def parts_of(path: Path) -> list[Path]:
+    """The files of the blocks of a list; none of a file that cannot be read."""
+    try:
+        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+    except OSError:
+        return []
+    return [path.parent / name for name in re.findall(r"<DataSet\b[^>]*\bfile\s*=\s*[\"']([^\"']+)", text)]
+
+
 def _read_part(path: Path, name: str) -> Document:
     """The block in a file beside a list.  Raises ValueError, naming the file."""
     part = path.parent / name
