@@ -67,6 +67,17 @@ def with_lines(_: str) -> meshio.Mesh:
     return meshio.Mesh(points, [*cells, ("line", np.array([[0, 1], [1, 2]]))])
 
 
+def with_six_nodes(_: str) -> meshio.Mesh:
+    points, cells, _right = square()
+    triangles = cells[0][1]
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
+    edges, node = np.unique(sides, axis=0, return_inverse=True)
+    nodes = len(points) + node.reshape(-1, 3)
+    return meshio.Mesh(
+        np.concatenate([points, points[edges].mean(1)]), [("triangle6", np.concatenate([triangles, nodes], 1))]
+    )
+
+
 def with_regions(form: str) -> meshio.Mesh:
     points, cells, right = square()
     name = FORMATS[form].region_name or ("cell_tags" if form == "med" else "gmsh:physical")
@@ -118,6 +129,7 @@ FEATURES = [
     Feature("lines", with_lines, lambda document, _: of_kind(document.mesh, "line") == 2),
     Feature("quads", lambda _: plain(4), lambda document, _: of_kind(document.mesh, "quad") == 1),
     Feature("polygons", lambda _: plain(5), lambda document, _: of_kind(document.mesh, "polygon") == 1),
+    Feature("six nodes", with_six_nodes, lambda document, _: of_kind(document.mesh, "triangle6") == TRIANGLES),
     Feature("regions", with_regions, lambda _, mesh: len(mesh.constrained_edges) == CELLS),
     Feature("names", with_names, has_names),
     Feature("point data", field("point_data", np.arange(POINTS) / 7), has("point_data", ())),

@@ -79,3 +79,12 @@ def test_improving_an_upright_plane_gives_what_improving_it_lying_gives(call, fo
     a, b = meshio.read(folder / "a.vtu"), meshio.read(folder / "b.vtu")
     assert (a.points == b.points[:, [0, 2, 1]]).all()
     assert (a.cells_dict["triangle"] == b.cells_dict["triangle"]).all()
+
+
+def test_messages_tell_positions_in_space(call, folder):
+    points, triangles = meshes.grid_arrays(6, 6)
+    points[0] = 1.4  # pulled through the opposite corner: the boundary crosses itself
+    in_space(folder, np.insert(points, 1, 7.0, axis=1), triangles)
+    done = call("improve", "wall.vtu", "out.vtu")
+    assert done.status == 1
+    assert ", 7, " in done.err

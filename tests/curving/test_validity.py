@@ -117,6 +117,15 @@ def test_straight_triangles_have_a_scaled_jacobian_of_one_and_minus_one_when_inv
     assert not bool(upright(mirrored, ROW))
 
 
+def test_straight_triangles_with_rounded_nodes_have_a_scaled_jacobian_of_one_to_rounding(rng):
+    corners = 1 + 0.01 * rng.random((200, 3, 2))
+    middles = (corners + np.roll(corners, -1, 1)) / 2
+    points = torch.from_numpy(np.concatenate([corners, middles], 1).reshape(-1, 2))
+    scaled = scaled_jacobian(points, torch.arange(1200).reshape(200, 6)).abs()
+    # Nodes near 1 are rounded to 1e-16, in triangles of 0.01 whose heights may be a hundredth of that.
+    assert float(scaled.min()) > 1 - 1e-9
+
+
 def test_the_sign_does_not_depend_on_the_corner_or_on_powers_of_two(rng):
     for nodes in random_triangles(rng, 20, 0.15):
         points = torch.from_numpy(nodes)

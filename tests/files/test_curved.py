@@ -227,3 +227,27 @@ def test_a_report_of_json_has_the_counts(tmp_path):
     assert json.loads(json.dumps(record)) == record
     assert record["inverted_curved"] > 0
     assert record["minimum_scaled_jacobian"] < 0
+
+
+def test_triangles_that_straight_sides_alone_mend_need_nothing_else(tmp_path):
+    turn = np.pi / 4 * np.arange(8)
+    points = np.concatenate([np.stack([np.cos(turn), np.sin(turn)], 1), [[0.05, 0.02], [0.3, -0.2]]])
+    faces = np.array([(0, 1, 2), (2, 3, 4), (4, 5, 6), (6, 7, 0), (0, 2, 8), (2, 4, 8), (4, 6, 8), (6, 0, 9), (0, 8, 9),
+                      (8, 6, 9)])  # fmt: skip
+    points, six = cm.with_nodes(points, faces, circles=(1.0,))  # the sides from 0 to 2 and so on are arcs, too
+    assert (cm.jacobians(points, six).min(1) < 0).sum() == 4
+    done, mesh = improved(cm.save(tmp_path / "in.vtu", points, six), tmp_path / "out.vtu", topology="keep")
+    assert done.curved.inverted == 0
+    assert (cm.jacobians(mesh.points, six_of(mesh)).min(1) > 0).all()
+
+
+def test_heights_of_terrain_with_six_nodes_are_read_by_quadratic_functions(tmp_path):
+    points, six = cm.tangled_annulus()
+    rest = cm.annulus()[0]
+    points[:, 2] = 0.3 * rest[:, 0] ** 2
+    path = cm.save(tmp_path / "in.vtu", points, six)
+    done, mesh = improved(path, tmp_path / "out.vtu")
+    assert done.curved.inverted == 0
+    rim = np.isclose(np.hypot(*rest[:, :2].T), 1.0) | np.isclose(np.hypot(*rest[:, :2].T), 0.4)
+    assert (mesh.points[rim] == points[rim]).all()
+    assert np.ptp(mesh.points[:, 2]) <= np.ptp(points[:, 2]) + 0.05

@@ -69,7 +69,7 @@ def unfold(
     may     (N,) bool, triangles that are to be mended where they are such
     """
     for corners_too in (False, True):
-        for rings in options.rings:
+        for rings in options.rings if bad.any() else ():
             for patch in _patches(six, bad, rings + 1):
                 sides = np.unique(side[_within(six, bad & _mask(patch, len(bad)), rings)])
                 trial = _relaxed(points, six, side, middles, sides[free[sides]], fixed, patch, corners_too, options)

@@ -137,12 +137,14 @@ def _least(c: Tensor) -> Tensor:
         one, other, middle = c[:, i], c[:, j], c[:, 3 + k]
         inside = (middle < one) & (middle < other)
         bend = torch.where(inside, one - 2 * middle + other, 1.0)
-        least = torch.where(inside, torch.minimum(least, (one * other - middle * middle) / bend), least)
+        # In this form rounding does no harm where the polynomial is nearly constant.
+        least = torch.where(inside, torch.minimum(least, one - (one - middle) ** 2 / bend), least)
     a, d, f, e = c[:, 0], c[:, 3], c[:, 4], c[:, 5]
     hxx, hyy, hxy = a + c[:, 1] - 2 * d, a + c[:, 2] - 2 * e, a + f - d - e
     determinant = hxx * hyy - hxy * hxy
     gx, gy = d - a, e - a
     x, y = gy * hxy - gx * hyy, gx * hxy - gy * hxx
     inside = (hxx > 0) & (determinant > 0) & (x > 0) & (y > 0) & (x + y < determinant)
-    value = a + (gx * x + gy * y) / torch.where(inside, determinant, 1.0)
+    determinant = torch.where(inside, determinant, 1.0)
+    value = a + gx * (x / determinant) + gy * (y / determinant)
     return torch.where(inside, torch.minimum(least, value), least)

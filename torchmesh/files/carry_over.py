@@ -61,7 +61,7 @@ def carried(
     lost = others - sum(len(b.data) for b in blocks if b.type != "triangle")
     if lost:
         dropped.append(f"{lost} cells whose vertices are gone")
-    result = meshio.Mesh(_positions(mesh, old, height), _as_in_the_file(blocks, old, placed))
+    result = meshio.Mesh(_positions(mesh, old, height, placed), _as_in_the_file(blocks, old, placed))
     dropped = _carry_cell_data(old, fields, blocks, result) + dropped
     for name in sets:
         flags = [np.isin(np.arange(len(b.data)), m) for b, m in zip(file.cells, file.cell_sets[name], strict=True)]
@@ -204,14 +204,17 @@ def _triangle_blocks(content: Content, old: Correspondence) -> list[_Block]:
     return blocks
 
 
-def _positions(mesh: MeshBatch, old: Correspondence, height: HeightChoice) -> np.ndarray:
+def _positions(mesh: MeshBatch, old: Correspondence, height: HeightChoice, placed: Placed | None) -> np.ndarray:
     """(V, 3) in space; vertices that have not moved in their plane get the file's own coordinates."""
     given = old.source.content.mesh.points
     given = np.pad(given, ((0, 0), (0, 3 - given.shape[1])))
     points = lift(mesh).numpy()
     points = points.astype(np.result_type(points, given))
     if old.source.surface is not None:
-        old.source.surface.put_into(points, old.source.mesh, mesh, old.old_vertex, height)
+        transfer = FieldTransfer(old.source.mesh, mesh)
+        if placed is not None and old.source.middles is not None:
+            transfer = transfer.through_nodes(Placed(old.source.mesh, old.source.middles), placed)
+        old.source.surface.put_into(points, transfer, old.old_vertex, height)
     before = np.flatnonzero(old.new_vertex >= 0)
     now = old.new_vertex[before]
     still = (old.source.mesh.points.to(mesh.points.dtype)[before] == mesh.points[now]).all(1).numpy()

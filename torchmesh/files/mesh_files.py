@@ -34,6 +34,9 @@ from .source import Source, as_path, default_fixed
 from .split_quads import split_rows, with_split_quads
 from .surface import HeightChoice, check_height
 
+# The corners and nodes of cells that are turned round.
+_TURNED = {"triangle": [0, 2, 1], "quad": [0, 3, 2, 1], "triangle6": [0, 2, 1, 5, 4, 3]}
+
 
 def read(path: str | os.PathLike[str], *, regions: str | None = None) -> MeshBatch:
     """The triangles and quads of a mesh file, as a batch of one.
@@ -174,7 +177,7 @@ def draft(
         dropped += document.by_element
     before, content.points = content.points, _in_space(path, content.points, mesh, document)
     if content.points.shape[1] < before.shape[1] and not np.array_equal(content.points, before[:, :2]):
-        _wind(content)
+        _seen_from_above(content, mesh)
     stale = [] if fields is None or not same_rows else _stale(document, content.points)
     made = Draft.of(path, content, document, same_rows, like.path, tuple(dropped), tuple(stale))
     return made if placed is None else replace(made, curved=placed.summary())
@@ -200,18 +203,21 @@ def _new_content(mesh: MeshBatch) -> meshio.Mesh:
     return meshio.Mesh(lift(mesh).numpy(), cells, point_data=point_data)
 
 
-def _wind(content: meshio.Mesh) -> None:
-    """Turns the triangles and quads of a mesh that was laid into the plane round, if it shows its back there."""
-    area = 0.0
-    for block in content.cells:
-        if block.type == "triangle":
-            a, b, c = content.points[block.data].transpose(1, 2, 0)
-            area += float(((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]).sum())
+def _seen_from_above(content: meshio.Mesh, mesh: MeshBatch) -> None:
+    """Turns the cells of a mesh that is laid into the plane where they run clockwise there."""
+    flat = mesh.points.numpy()
+    rows = [b.data for b in content.cells if b.type in _TURNED]
+    area = sum(float(_doubled_areas(flat[r[:, :3]]).sum()) for r in rows)
     if area < 0:
         content.cells = [
-            meshio.CellBlock(b.type, b.data[:, ::-1] if b.type in ("triangle", "quad") else b.data)
-            for b in content.cells
+            meshio.CellBlock(b.type, b.data[:, _TURNED[b.type]] if b.type in _TURNED else b.data) for b in content.cells
         ]
+
+
+def _doubled_areas(corners: np.ndarray) -> np.ndarray:
+    """(N,) twice the signed areas of triangles (N, 3, 2)."""
+    (ax, ay), (bx, by) = (corners[:, k].T - corners[:, 0].T for k in (1, 2))
+    return ax * by - ay * bx
 
 
 def _in_space(path: Path, points: np.ndarray, mesh: MeshBatch, like: Document | None) -> np.ndarray:

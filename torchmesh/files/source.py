@@ -16,6 +16,7 @@ from ..curving.middles import Middles
 from ..errors import InvalidMeshError, MeshIOError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.file_axes import told_in_space
 from ..mesh.mixed_arrays import halves_of
 from ..mesh.quads import halved
 from ..mesh.validation import seen_from_above
@@ -69,12 +70,13 @@ class Source:
             return made
 
     def explained(self, text: str) -> str:
-        """A message about the mesh: rows also as the file's own numbers, constrained edges by what they come from."""
+        """A message about the mesh: positions in space, rows as the file's own numbers, where constraints come from."""
         more = ""
         if _CONSTRAINED.search(text):
             lines = "lines of the file" if self.content.bound_by_lines else ""
             origin = " and ".join(filter(None, [self.content.bound_by_regions, lines]))
             more = f" (constrained edges are {origin})" if origin else ""
+        text = text if self.surface is not None else told_in_space(self.mesh, text)
         return with_own_numbers(text, self.document) + more
 
     @cached_property

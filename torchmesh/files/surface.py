@@ -18,7 +18,6 @@ import torch
 
 from ..errors import InvalidMeshError, MeshWarning
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch
 from ..mesh.predicates import orientation
 from ..mesh.validation import axes_beside, axis_across, frame_across, to_plane
 from ..mesh.winding import oriented
@@ -83,17 +82,17 @@ class Surface:
         return frame_across(self.axis, 0.0)[None]
 
     def put_into(
-        self, points: np.ndarray, before: MeshBatch, after: MeshBatch, old_vertex: np.ndarray, choice: HeightChoice
+        self, points: np.ndarray, transfer: FieldTransfer, old_vertex: np.ndarray, choice: HeightChoice
     ) -> None:
-        """Gives the points (V', 3) of the mesh `after` their heights.
+        """Gives the points (V', 3) of the mesh after their heights.
 
-        before      the mesh of the file
+        transfer    from the mesh of the file to the mesh after
         old_vertex  (V',) the row of each vertex in the file, -1 for a new one
         """
         heights = np.ascontiguousarray(self.heights, np.float64)
         kept = np.flatnonzero(old_vertex >= 0)
         if choice == "interpolate" or len(kept) < len(points):
-            points[:, self.axis] = FieldTransfer(before, after).at_points("height", heights, old_vertex)
+            points[:, self.axis] = transfer.at_points("height", heights, old_vertex)
         if choice == "keep":
             points[kept, self.axis] = self.heights[old_vertex[kept]]
 

@@ -5,12 +5,17 @@ coordinates of its own, so that its shapes are true.  Users give and read two co
 determine a point of the plane best; the third one follows.
 """
 
+import re
+
 import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
 from .batch import MeshBatch
 from .validation import axes_beside
+
+# How messages tell a position.
+_POSITION = re.compile(r"\b(at|about|near) \((-?[0-9.]+(?:e[+-]?\d+)?), (-?[0-9.]+(?:e[+-]?\d+)?)\)")
 
 # A vector lies in a plane if it leaves it by no more than this part of its length.
 _IN_PLANE = 1e-6
@@ -41,6 +46,20 @@ def told(mesh: MeshBatch, flat: Tensor) -> Tensor:
         return flat
     axes = told_axes(mesh)
     return (mesh.frames[0, 0, axes] + flat.to(torch.float64) @ mesh.frames[0, 1:, axes]).to(flat.dtype)
+
+
+def told_in_space(mesh: MeshBatch, text: str) -> str:
+    """The text about a batch of one, with the positions in it in space where the mesh does not lie as x and y do."""
+    frame = mesh.frames[0]
+    if told_axes(mesh) == [0, 1] and not is_tilted(mesh):
+        return text
+
+    def in_space(match: re.Match[str]) -> str:
+        x, y = float(match[2]), float(match[3])
+        at = (frame[0] + x * frame[1] + y * frame[2]).tolist()
+        return f"{match[1]} ({', '.join(f'{v:.6g}' for v in at)})"
+
+    return _POSITION.sub(in_space, text)
 
 
 def vector_in_plane(mesh: MeshBatch, vector: tuple[float, ...]) -> Tensor:
