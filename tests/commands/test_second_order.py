@@ -89,3 +89,19 @@ def test_warp_by_a_field_moves_nodes_of_the_boundary_by_their_own_values(call, f
     mesh = meshio.read(folder / "out.vtu")
     on = np.isclose(radius, 0.4)
     np.testing.assert_allclose(mesh.points[on], 1.1 * points[on], rtol=0, atol=1e-15)
+
+
+def test_a_file_of_quads_alone_is_measured_and_improved_in_plan(call, folder):
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6)))
+    points = np.stack([x, y, np.sin(3 * x)], 1)
+    points[14, :2] += [0.25, 0.2]
+    corner = (np.arange(5)[:, None] * 6 + np.arange(5)).ravel()
+    quads = np.stack([corner, corner + 1, corner + 7, corner + 6], 1)
+    meshio.Mesh(points, [("quad", quads)]).write(folder / "bed.vtu")
+    assert call("quality", "bed.vtu").status == 1
+    assert call("improve", "bed.vtu", "out.vtu").status == 0
+    assert call("quality", "out.vtu").status == 0
+    after = meshio.read(folder / "out.vtu").points
+    rim = (x == 0) | (x == 1) | (y == 0) | (y == 1)
+    assert (after[rim] == points[rim]).all()
+    assert abs(after[14, 2] - np.sin(3 * after[14, 0])) < 0.1

@@ -291,7 +291,7 @@ def _told_by(source: "Source") -> dict[str, Any]:
 
 def _print_told_by(source: "Source") -> None:
     """Says which cell data or sets were taken for regions, and which might have been."""
-    told, count = source.content.told_by, int(source.content.region.max()) + 1
+    told, count = source.content.told_by, int(source.content.region.max(initial=0)) + 1
     parts = [f"{console.counted(count, 'region')} by {told}"] if str(told) else []
     if told.others:
         parts.append(f"no regions by cell data {', '.join(map(repr, told.others))} (--regions NAME takes it)")

@@ -157,6 +157,8 @@ def _worst(mesh: "MeshBatch", q: "Quality", upright: "Tensor", count: int, own: 
 
     from ..mesh.batch import lift
 
+    if not len(mesh.triangles):
+        return []
     # Inverted triangles rank by their area, and far above all others, which rank by their shape.
     size = -q.area / q.area.abs().amax(0).clamp_min(1e-300) if len(q.area) else q.area
     rank = torch.where(upright, -1 / q.inverse_mean_ratio, 1 + size)

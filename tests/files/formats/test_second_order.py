@@ -75,6 +75,23 @@ def kratos(path):
     return path
 
 
+def triangle(path):
+    order = [0, 1, 2, 4, 5, 3]  # the nodes stand by the corners that they lie opposite to
+    lines = [f"{len(SIX)} 6 0"] + [f"{k + 1} " + " ".join(str(row[j] + 1) for j in order) for k, row in enumerate(SIX)]
+    path.write_text("\n".join(lines) + "\n")
+    nodes = [f"{len(POINTS)} 2 0 0"] + [f"{k + 1} {x!r} {y!r}" for k, (x, y, _) in enumerate(POINTS.tolist())]
+    path.with_suffix(".node").write_text("\n".join(nodes) + "\n")
+    return path
+
+
+def sms(path):
+    order = [0, 3, 1, 4, 2, 5]  # corners and mid-side nodes stand in turn
+    lines = ["MESH2D"] + [f"E6T {k + 1} " + " ".join(str(r[j] + 1) for j in order) + " 1" for k, r in enumerate(SIX)]
+    lines += [f"ND {k + 1} {x!r} {y!r} 0.0" for k, (x, y, _) in enumerate(POINTS.tolist())]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def by_meshio(path):
     field = {"T": POINTS[:, 0].copy()} if path.suffix in (".med", ".msh", ".xdmf", ".vtk") else {}
     form = {".msh": {"file_format": "gmsh"}}.get(path.suffix, {})
@@ -89,6 +106,8 @@ WRITERS = {
     "axis.bdf": lambda path: nastran(path, "CTRIAX6"),
     "ring.e": exodus,
     "ring.mdpa": kratos,
+    "ring.ele": triangle,
+    "ring.2dm": sms,
     "ring.med": by_meshio,
     "ring.msh": by_meshio,
     "ring.xdmf": by_meshio,

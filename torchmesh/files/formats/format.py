@@ -131,7 +131,7 @@ class Format(abc.ABC):
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """The mesh without what the format cannot hold, and names for what was taken away."""
         mesh, straight = self._in_its_types(mesh)
-        kept = [i for i, b in enumerate(mesh.cells) if ("higher" if _HIGHER.match(b.type) else b.type) in self.cells]
+        kept = [i for i, b in enumerate(mesh.cells) if self._holds(b.type)]
         lost = {f"{b.type} cells" for i, b in enumerate(mesh.cells) if i not in kept} | straight
         cells = [mesh.cells[i] for i in kept]
         if self.index_type is not None:
@@ -166,14 +166,18 @@ class Format(abc.ABC):
         vars(fitted).update({name: value for name, value in vars(mesh).items() if name not in vars(fitted)})
         return fitted, lost
 
+    def _holds(self, kind: str) -> bool:
+        """Can it hold cells of this type?"""
+        return kind in self.cells or (_HIGHER.match(kind) is not None and "higher" in self.cells)
+
     def _in_its_types(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """The mesh with cells of the second order by their corners, where the format does not have them."""
         cells, lost = [], set()
         for block in mesh.cells:
             kind, data = block.type, block.data
-            if "higher" not in self.cells and kind == "triangle6":
+            if kind == "triangle6" and not self._holds(kind):
                 lost.add("mid-side nodes of triangle6 cells")
-            if "higher" not in self.cells and kind in _STRAIGHT:
+            if kind in _STRAIGHT and not self._holds(kind):
                 kind, width = _STRAIGHT[kind]
                 data = data[:, :width]
             cells.append(meshio.CellBlock(kind, data))
