@@ -251,7 +251,7 @@ def _in_company(quads: Layers, options: LayerOptions) -> Tensor:
     """(N,) bool: the quadrilateral of a first row is one of at least three of like height, side by side."""
     count = len(quads)
     neighbours = torch.full((count, 2), -1, device=quads.wall.device)
-    foot, top = quads.corners[:, :2], quads.corners[:, [3, 2]]
+    foot, top = quads.corners[:, :2], quads.corners[:, 2:].flip(1)
     limit = int(quads.corners.max()) + 1 if count else 1
     left, right = (foot[:, k] * limit + top[:, k] for k in (0, 1))
     order = left.argsort()
