@@ -64,7 +64,7 @@ class Source:
         with in_one_line(path), _own_numbers_told(document):
             content = Content.of(document, path, regions)
             every = np.concatenate([content.rows[content.first], halves_of(torch.from_numpy(content.quads)).numpy()])
-            surface = Surface.of(content.mesh.points, every, path)
+            surface = Surface.of(content.mesh.points, every, path, document.depths)
             made = cls(path, document, content, _batch(content, path, surface), surface)
             _ = made.middles  # what is wrong with them is said when the file is read
             return made

@@ -46,14 +46,18 @@ class Surface:
     heights: np.ndarray
 
     @classmethod
-    def of(cls, points: np.ndarray, faces: np.ndarray, path: Path) -> "Surface | None":
+    def of(cls, points: np.ndarray, faces: np.ndarray, path: Path, depths: bool = False) -> "Surface | None":
         """The surface of a file's points (V, 3) and triangles (T, 3); None where they lie in a plane.
+
+        depths  is the third coordinate a depth or a height by the format?  Then even a tilted plane is seen in plan
 
         Points that leave a plane that is parallel to two axes by up to 1e-5 of the extent lie in it, and what they
         leave it by is their height.  Raises InvalidMeshError, naming `path`, for a surface that is no map of a plane.
         """
         if points.shape[1] != 3 or not len(faces) or not np.isfinite(points[faces]).all():
             return None
+        if depths:
+            return None if bool((points[faces, 2] == points[faces[0, 0], 2]).all()) else cls(2, points[:, 2])
         xyz, rows = torch.from_numpy(points).to(torch.float64), torch.from_numpy(faces)
         corners = xyz[rows.reshape(-1)]
         across = axis_across(corners)

@@ -111,3 +111,10 @@ def test_mistakes_are_named(tmp_path, old, new, what):
 def test_depths_are_the_third_coordinate(source):
     source.write_text(FORT.replace("3 1.0 1.0 -10.0", "3 1.0 1.0 -12.5"))
     np.testing.assert_array_equal(load(source).mesh.points[:, 2], [-10, -10, -12.5, -10, -10])
+
+
+def test_a_bed_is_improved_in_plan_even_where_it_is_a_tilted_plane(source, tmp_path):
+    text = FORT.replace("3 1.0 1.0 -10.0", "3 1.0 1.0 -30.0").replace("4 0.0 1.0 -10.0", "4 0.0 1.0 -30.0")
+    source.write_text(text.replace("0.5 -10.0", "0.5 -20.0"))
+    ((_, new),) = improved(source, tmp_path / f"out{source.suffix}")
+    assert new == "5 0.5 0.5 -20.0"

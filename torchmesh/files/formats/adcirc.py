@@ -76,7 +76,7 @@ class AdcircFormat(TextFormat):
         sides = {name: edges[tags == k] for k, (name, _) in enumerate(strings, 1)}
         no_rows = [Rows(np.zeros(0, np.int64), 0)] if len(edges) else []  # strings of nodes never change
         tables = AdcircTables(lines, Rows(at, 1), [*rows, *no_rows], names, strings)
-        return Document(mesh, self.name, rest=tables, sides=sides, skipped=tuple(skipped))
+        return Document(mesh, self.name, rest=tables, sides=sides, skipped=tuple(skipped), depths=True)
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
         points = np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1])))

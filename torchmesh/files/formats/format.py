@@ -53,6 +53,7 @@ class Document:
     by_element: tuple[str, ...] = ()
     at_nodes: dict[str, np.ndarray] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
+    depths: bool = False
     node_numbers: Sequence[Any] | np.ndarray | None = None
     cell_numbers: Mapping[str, Sequence[Any] | np.ndarray] = field(default_factory=dict)
 

@@ -71,7 +71,12 @@ class SmsFormat(TextFormat):
         known = {"MESH2D", "ND", "NS", "NUM_MATERIALS_PER_ELEM", "", *_KINDS}
         others = [f"{word} cards" for word in cards if word not in known]
         return Document(
-            mesh, self.name, rest=TextTables(lines, Rows(at, 2), rows, names), sides=strings, skipped=tuple(others)
+            mesh,
+            self.name,
+            rest=TextTables(lines, Rows(at, 2), rows, names),
+            sides=strings,
+            skipped=tuple(others),
+            depths=True,
         )
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
