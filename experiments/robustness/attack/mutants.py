@@ -31,7 +31,9 @@ _VARIANTS: dict[str, tuple[str, dict]] = {
     "stl-text": ("a.stl", {"binary": False}),
     "xdmf-hdf5": ("a.xdmf", {"data_format": "HDF"}),
 }
-KINDS = (*FORMATS, *_VARIANTS, "batch")
+# Files beside that of a format which are read with it: the format and their extension.
+_BESIDE = {"triangle-elements": ("triangle", ".ele"), "triangle-segments": ("triangle", ".poly")}
+KINDS = (*FORMATS, *_VARIANTS, *_BESIDE, "batch")
 
 
 def sample(kind: str, folder: Path) -> Path:
@@ -63,9 +65,10 @@ def sample(kind: str, folder: Path) -> Path:
             name, options = _VARIANTS[kind]
             meshio.write(folder / name, content, **options)
             return folder / name
-        path = folder / f"a{FORMATS[kind].extensions[0]}"
+        form, extension = _BESIDE.get(kind, (kind, ""))
+        path = folder / f"a{FORMATS[form].extensions[0]}"
         Draft.of(path, content).save()
-    return path
+    return path.with_suffix(extension) if extension else path
 
 
 def _cut(data: bytes, rng: random.Random) -> bytes:
