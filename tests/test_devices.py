@@ -23,7 +23,7 @@ WORK = {
     "losses.regularised": (TANGLED, lambda mesh: tm.losses.regularised(mesh.points, mesh), 8),
     "flip_to_delaunay": (TANGLED, lambda mesh: tm.flip_to_delaunay(mesh)[0].triangles, 160),
     "smooth": (VALID, lambda mesh: tm.smooth(mesh)[0].points, 130),
-    "untangle": (TANGLED, lambda mesh: tm.untangle(mesh)[0].points, 900),
+    "untangle": (jittered(6, 5, 0.5), lambda mesh: tm.untangle(mesh)[0].points, 900),
     "nn.Smooth": (VALID, lambda mesh: tm.nn.Smooth(mesh)(mesh.points), 260),
 }
 

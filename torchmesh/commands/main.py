@@ -133,7 +133,7 @@ _register(generate.generate, generate.EXAMPLES)
 _register(report.report, report.EXAMPLES)
 _register(animate.animate, animate.EXAMPLES)
 
-benchmark = typer.Typer(name="bench", help="Compare methods on a benchmark of tangled meshes.", no_args_is_help=True)
+benchmark = typer.Typer(name="bench", help="Compare methods on a benchmark of tangled meshes.")
 _register(bench.run, bench.RUN_EXAMPLES, under=benchmark)
 _register(bench.show, bench.LIST_EXAMPLES, under=benchmark, name="list")
 app.add_typer(benchmark)
