@@ -14,6 +14,7 @@ _LOOKS = [
 def plot(rows: list, tools: list[str], path: Path) -> None:
     """Both axes logarithmic; the first tool is ours; markers are hollow where inverted triangles are left."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     figure = Figure(figsize=(7, 5), layout="constrained")
     axes = figure.add_subplot()
@@ -34,6 +35,10 @@ def plot(rows: list, tools: list[str], path: Path) -> None:
         axes.scatter([r.triangles for r in each], [r.seconds for r in each], marker="*", s=120, color="black",
                      label=f"{tools[0]}, {each[0].domain}")  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="triangles", ylabel="time [s], one thread")
+    # At most five marks along the axis, as plain numbers: those of all decades would write over each other.
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=5))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_title("Untangling circle, bar and gate; hollow: inverted triangles are left", fontsize=10)
     axes.grid(True, which="both", alpha=0.25)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8)
