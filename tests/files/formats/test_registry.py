@@ -1,5 +1,7 @@
 """The table of formats: every extension leads to its format, and contents tell formats of one extension apart."""
 
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +22,15 @@ def test_every_extension_leads_to_its_format():
         for extension in form.extensions:
             assert format_of(Path(f"a{extension.upper()}")).name == leads_to.get(extension, name)
             assert format_of(Path(f"a{extension}"), Document(None, name)) is form  # as the file that is followed
+
+
+def test_formats_are_loaded_when_they_are_needed():
+    code = (
+        "import sys, torchmesh; torchmesh.read\n"
+        "loaded = {name.rpartition('.')[2] for name in sys.modules if 'files.formats.' in name}\n"
+        "assert 'registry' in loaded and not loaded & {'exodus', 'abaqus', 'kratos', 'gmsh', 'su2', 'comsol'}, loaded"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_an_unknown_extension_is_told_with_the_known_ones():
@@ -55,6 +66,7 @@ def test_contents_tell_formats_of_one_extension_apart(tmp_path, monkeypatch, tex
     marked = Marked("marked", (".off",))
     off = replace(FORMATS["off"])
     monkeypatch.setattr(registry, "FORMATS", {"marked": marked, "off": off})
+    monkeypatch.setattr(registry, "_MODULES", dict.fromkeys(("marked", "off"), ("", (".off",))))
     (tmp_path / "a.off").write_text(text)
     assert format_in(tmp_path / "a.off").name == found
     assert format_of(tmp_path / "new.off") is marked  # a new file is written in the first one

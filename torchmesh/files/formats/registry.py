@@ -1,59 +1,77 @@
 """The formats that torchmesh reads and writes, by name and by extension."""
 
 import difflib
+import functools
+import importlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ...errors import MeshIOError
-from .abaqus import ABAQUS
-from .adcirc import ADCIRC
-from .comsol import COMSOL
-from .exodus import EXODUS
 from .format import Document, Format
-from .freefem import FREEFEM
-from .gmsh import GMSH
-from .kratos import KRATOS
-from .meshio_formats import SOLVER_FORMATS, SURFACE_FORMATS
-from .mfem import MFEM
-from .nastran import NASTRAN
-from .obj import OBJ
-from .selafin import SELAFIN
-from .sms import SMS
-from .su2 import SU2
-from .triangle import TRIANGLE
-from .unv import UNV
-from .vtk import VTK
-from .vtkhdf import VTKHDF
-from .vtm import VTM
-from .vtu import VTP, VTU
-from .xdmf import XDMF
 
-_ALL = (
-    VTU,
-    VTP,
-    VTK,
-    VTKHDF,
-    VTM,
-    GMSH,
-    XDMF,
-    OBJ,
-    *SURFACE_FORMATS,
-    SU2,
-    EXODUS,
-    KRATOS,
-    NASTRAN,
-    ABAQUS,
-    *SOLVER_FORMATS,
-    FREEFEM,
-    MFEM,
-    TRIANGLE,
-    ADCIRC,
-    SMS,
-    SELAFIN,
-    COMSOL,
-    UNV,
-)
+# For each format the module that has it and the extensions of its files, in the order in which they are tried.  A
+# module is loaded when a file of its format is read or written: all together would take longer than most files.
+_MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "vtu": ("vtu", (".vtu",)),
+    "vtp": ("vtu", (".vtp",)),
+    "vtk": ("vtk", (".vtk",)),
+    "vtkhdf": ("vtkhdf", (".vtkhdf",)),
+    "vtm": ("vtm", (".vtm",)),
+    "gmsh": ("gmsh", (".msh",)),
+    "xdmf": ("xdmf", (".xdmf", ".xmf")),
+    "obj": ("obj", (".obj",)),
+    "off": ("meshio_formats", (".off",)),
+    "stl": ("meshio_formats", (".stl",)),
+    "ply": ("meshio_formats", (".ply",)),
+    "su2": ("su2", (".su2",)),
+    "exodus": ("exodus", (".e", ".exo", ".ex2")),
+    "mdpa": ("kratos", (".mdpa",)),
+    "nastran": ("nastran", (".bdf", ".fem", ".nas")),
+    "abaqus": ("abaqus", (".inp",)),
+    "medit": ("meshio_formats", (".mesh", ".meshb")),
+    "med": ("meshio_formats", (".med",)),
+    "permas": ("meshio_formats", (".post", ".dato")),
+    "netgen": ("meshio_formats", (".vol",)),
+    "avsucd": ("meshio_formats", (".avs",)),
+    "tecplot": ("meshio_formats", (".dat", ".tec")),
+    "h5m": ("meshio_formats", (".h5m",)),
+    "hmf": ("meshio_formats", (".hmf",)),
+    "dolfin-xml": ("meshio_formats", (".xml",)),
+    "freefem": ("freefem", (".freefem", ".msh")),
+    "mfem": ("mfem", (".mfem", ".mesh")),
+    "triangle": ("triangle", (".node", ".ele", ".poly")),
+    "adcirc": ("adcirc", (".14", ".grd", ".gr3", ".ll")),
+    "sms": ("sms", (".2dm",)),
+    "selafin": ("selafin", (".slf", ".sel", ".selafin")),
+    "comsol": ("comsol", (".mphtxt",)),
+    "unv": ("unv", (".unv",)),
+}
 
-FORMATS: dict[str, Format] = {form.name: form for form in _ALL}
+
+@functools.cache
+def _loaded(name: str) -> Format:
+    """The format of that name, from its module."""
+    module = importlib.import_module(f".{_MODULES[name][0]}", __package__)
+    every = [v for value in vars(module).values() for v in (value if isinstance(value, tuple) else (value,))]
+    return next(v for v in every if isinstance(v, Format) and v.name == name)
+
+
+class _Formats(Mapping[str, Format]):
+    """All formats by name; each is loaded when it is asked for."""
+
+    def __getitem__(self, name: str) -> Format:
+        if name not in _MODULES:
+            raise KeyError(name)
+        return _loaded(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_MODULES)
+
+    def __len__(self) -> int:
+        return len(_MODULES)
+
+
+FORMATS: Mapping[str, Format] = _Formats()
 
 
 def format_of(path: Path, like: Document | None = None) -> Format:
@@ -80,7 +98,7 @@ def format_in(path: Path) -> Format:
 
 def known_extensions() -> list[str]:
     """All extensions, in the order of the table of formats."""
-    return list(dict.fromkeys(extension for form in FORMATS.values() for extension in form.extensions))
+    return list(dict.fromkeys(extension for _, extensions in _MODULES.values() for extension in extensions))
 
 
 # What files with extensions of other kinds are, and which format would do.
@@ -99,7 +117,7 @@ _HINTS = {
 
 def _formats_of(path: Path) -> list[Format]:
     suffix = path.suffix.lower()
-    found = [form for form in FORMATS.values() if suffix in form.extensions]
+    found = [FORMATS[name] for name, (_, extensions) in _MODULES.items() if suffix in extensions]
     if not found:
         problem = f"the extension {path.suffix!r} is not known" if suffix else "it has no extension to tell its format"
         known = known_extensions()
