@@ -8,6 +8,7 @@ import torch
 import torchmesh as tm
 from tests.meshes import disturbed, grid, jittered, mixed, quad_layers
 from torchmesh import ImproveOptions, MeshBatch, SmoothOptions, Status, UntangleOptions
+from torchmesh.bench.catalogue import chosen
 from torchmesh.mesh.quads import halved, whole
 from torchmesh.optimising.targets import quad_targets_from
 
@@ -198,3 +199,12 @@ def test_a_quad_goes_where_it_leaves_only_triangles_inverted():
     after, report = tm.improve(mesh, ImproveOptions(quads="split"))
     assert report.valid.all()
     assert (len(after.triangles), len(after.quads)) == (3, 0)
+
+
+@pytest.mark.parametrize("number", [3, 4])
+def test_hard_tangles_with_quads_are_mended_where_edges_may_flip_too(number):
+    """Re-triangulation does nothing for quads, so that the last untangling must not be cut short for its sake."""
+    mesh = next(iter(chosen(["quads"]))).case(number).mesh
+    better, report = tm.improve(mesh)
+    assert report.valid.all()
+    assert torch.equal(better.quads, mesh.quads)

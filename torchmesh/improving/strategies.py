@@ -21,7 +21,7 @@ from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.means import vertex_size
 from ..mesh.neighbourhoods import rewired, surroundings
-from ..mesh.ragged import segment_any
+from ..mesh.ragged import counts_from_offsets, segment_any
 from ..mesh.submesh import submesh
 from ..optimising.moves import Monitor
 from ..remeshing.criteria import crowded
@@ -160,6 +160,8 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         # Cavities do little for interfaces that are out of place, so that kept triangles are the best hope.
         walled = torch.zeros_like(bounded).index_fill_(0, constraint_owner(state.mesh), True)
         bounded &= state.faulty | ~walled
+    # Nor do they anything for quads, whose edges stay.
+    bounded &= state.faulty | (counts_from_offsets(state.mesh.quad_offsets) == 0)
     for at, options in ((hopeful & bounded, o.rounds.last_untangling), (hopeful & ~bounded, UntangleOptions())):
         if not bool(at.any()):
             continue
