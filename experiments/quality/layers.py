@@ -35,7 +35,7 @@ SIDES, ROWS, OUTER = 96, 20, 16
 Way = Callable[[tm.MeshBatch, tm.MeshBatch], tm.MeshBatch]
 
 
-def airfoil(first: float, growth: float = 1.4, rows: int = ROWS) -> tm.MeshBatch:
+def airfoil(first: float, growth: float = 1.4, rows: int | None = None) -> tm.MeshBatch:
     """The mesh; vertex j SIDES + i is in column i and row j, and the first SIDES vertices are the wall."""
     t = -2 * np.pi * np.arange(SIDES) / SIDES
     x = 0.5 * (1 + np.cos(t))
@@ -43,7 +43,7 @@ def airfoil(first: float, growth: float = 1.4, rows: int = ROWS) -> tm.MeshBatch
     wall = np.stack([x - 0.25, np.where(np.sin(t) >= 0, half, -half)], 1)
     along = np.roll(wall, -1, 0) - np.roll(wall, 1, 0)
     normal = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
-    heights = np.concatenate([[0.0], np.cumsum(first * growth ** np.arange(rows))])
+    heights = np.concatenate([[0.0], np.cumsum(first * growth ** np.arange(rows or ROWS))])
     rings = [wall + height * normal for height in heights]
     far = 4 * np.stack([np.cos(t), np.sin(t)], 1)
     last = rings[-1]

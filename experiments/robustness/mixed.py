@@ -1,5 +1,7 @@
 """Meshes of triangles and quads, tangled, by `improve` and by MFEM's TMOP: time and success side by side.
 
+    python -m experiments.robustness.mixed
+
     jittered  free vertices thrown off by a normal deviate of so many cells
     moved     a disc with three layers of quads round it, moved through its mesh and warped after by FEMWARP
     pitched   an ellipse with layers of quads, turned inside its far field and warped after by FEMWARP
@@ -10,16 +12,17 @@ units of length, of which the best counts, with the time of that one run alone. 
 
 from __future__ import annotations
 
-import argparse
 import math
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 import torchmesh as tm
+from experiments.shared import arguments
 from experiments.shared.tables import table
 from torchmesh.bench.methods.mfem_tmop import mfem
 
@@ -114,11 +117,10 @@ def heights_kept(case: Case, mesh: tm.MeshBatch) -> str:
     return f"{float(change.median()):.2f} / {float(change.max()):.1f}"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = arguments.parser(__doc__)
     parser.add_argument("--seeds", type=int, default=4, help="how many jittered meshes of each kind")
-    seeds = parser.parse_args().seeds
-    torch.set_num_threads(1)
+    seeds = arguments.parse(parser, argv).seeds
     tm.improve(grid(4, 2))
     groups: dict[tuple[str, str], list[Case]] = {}
     for case in cases(seeds):
@@ -146,7 +148,8 @@ def main() -> None:
     titles = ["mesh", "inverted", "ours", "ours, triangles kept", "ours, with the reference", "MFEM TMOP"]
     print("valid; processor seconds; IMR average / maximum; change of heights, middle / most")
     print(table(titles, rows))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -103,7 +103,7 @@ def test_aims_of_triangles_do_not_go_with_flips():
 
 
 def test_as_many_are_valid_as_improve_keeps():
-    mesh = tm.domains.generate(12, ("holes", "jitter"), triangles=150, seed=4).deformed
+    mesh = tm.domains.generate(12, ("gate", "jitter"), triangles=150, seed=4).deformed
     throw = 0.3 * random(*mesh.points.shape) * vertex_size(mesh)[:, None]
     tangled = mesh.with_points(mesh.points + throw * ~mesh.fixed[:, None])
     _, report = tm.improve(tangled, tm.ImproveOptions(topology="keep"))

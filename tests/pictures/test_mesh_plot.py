@@ -27,7 +27,7 @@ def drawn(mesh: MeshBatch, region=None) -> tuple[np.ndarray, object, object]:
 def test_inverted_triangles_and_only_they_are_vermilion():
     tangled, valid = meshes.moved_hole(), meshes.grid()
     assert int(quality(tangled).inverted[0]) > 5
-    assert vermilion(drawn(tangled)[0]) > 100
+    assert vermilion(drawn(tangled)[0]) > 60  # the dark hatching covers a part of them
     assert vermilion(drawn(valid)[0]) == 0
 
 

@@ -19,7 +19,7 @@ def test_the_data_are_the_stages(tmp_path):
     header, data = embedded((tmp_path / "page.html").read_text())
     size = float((tangled.points.amax(0) - tangled.points.amin(0)).max())
     assert len(header["stages"]) == len(stages)
-    for (_, mesh), (grid, triangles, codes, flags) in zip(stages, decoded(header, data), strict=True):
+    for (_, mesh), (grid, triangles, codes, flags, interfaces) in zip(stages, decoded(header, data), strict=True):
         points = header["origin"] + header["step"] * grid.reshape(-1, 2).astype(float)
         assert np.abs(points - mesh.points.numpy()).max() <= 1e-9 * size
         assert (triangles.reshape(-1, 3) == mesh.triangles.numpy()).all()
@@ -28,13 +28,14 @@ def test_the_data_are_the_stages(tmp_path):
         assert ratio == pytest.approx(q.inverse_mean_ratio.numpy(), rel=2e-4)
         inverted = np.unpackbits(flags.astype(np.uint8), bitorder="little")[: len(mesh.triangles)]
         assert (inverted == ~q.upright.numpy()).all()
+        assert (interfaces.reshape(-1, 2) == mesh.constrained_edges.numpy()).all()
 
 
 def test_stages_may_differ_in_their_counts():
     pair = [meshes.grid(3, 3), meshes.grid(5, 4)]
     encoded = page_data.encode([(mesh, quality(mesh)) for mesh in pair])
     data = zlib.decompress(base64.b64decode(encoded.text))
-    for mesh, (grid, triangles, _, _) in zip(pair, decoded(encoded.header, data), strict=True):
+    for mesh, (grid, triangles, *_) in zip(pair, decoded(encoded.header, data), strict=True):
         points = encoded.header["origin"] + encoded.header["step"] * grid.reshape(-1, 2).astype(float)
         assert points == pytest.approx(mesh.points.numpy(), abs=1e-9)
         assert (triangles.reshape(-1, 3) == mesh.triangles.numpy()).all()

@@ -36,11 +36,11 @@ def test_the_script_reads_what_was_encoded(tmp_path):
     encoded = re.search(r'id="data">(.*?)</script>', text, re.DOTALL).group(1)
     result = run_script(
         f"""const stages = unpack({json.dumps(header)}, await inflate("{encoded}"));
-        result = stages.map((s) => [s.grid, s.corners, s.codes, s.flags].map((a) => Array.from(a)));""",
+        result = stages.map((s) => [s.grid, s.corners, s.codes, s.flags, s.walls].map((a) => Array.from(a)));""",
         tmp_path,
     )
     for read, expected in zip(result, decoded(header, data), strict=True):
-        assert [np.array_equal(a, b) for a, b in zip(read, expected, strict=True)] == [True] * 4
+        assert [np.array_equal(a, b) for a, b in zip(read, expected, strict=True)] == [True] * 5
 
 
 def test_painted_triangles_cover_every_pixel_once(tmp_path):
