@@ -1,5 +1,6 @@
 """Legacy VTK files: what no array of the mesh is stays to the letter."""
 
+import meshio
 import numpy as np
 import pytest
 import torch
@@ -106,3 +107,28 @@ def test_a_file_without_changes_and_with_crowded_lines(tmp_path):
     )
     write(tmp_path / "b.vtk", read(tmp_path / "a.vtk"), like=tmp_path / "a.vtk")
     assert (tmp_path / "b.vtk").read_bytes() == (tmp_path / "a.vtk").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("extension", "modes"),
+    [
+        ("vtk", {"binary": True}), ("vtk", {"binary": False}), ("vtu", {"binary": True}), ("vtu", {"binary": False}),
+        ("xdmf", {"data_format": "HDF"}), ("xdmf", {"data_format": "XML"}),
+    ],
+)  # fmt: skip
+def test_a_file_from_which_arrays_went_is_read_by_others(tmp_path, extension, modes):
+    """meshio does not bear an empty line where an array was, and what is in an array that goes is not changed, too."""
+    points = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 0)])
+    faces = [(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)]
+    data = {"a": [np.arange(4.0)], "b": [np.arange(4)], "c": [np.ones(4)], "d": [np.arange(4)]}
+    source, target = tmp_path / f"a.{extension}", tmp_path / f"b.{extension}"
+    mesh = meshio.Mesh(points, [("triangle", faces)], cell_data=data, point_data={"u": points[:, 0], "n": np.arange(5)})
+    meshio.write(source, mesh, **modes)
+    moved = tm.read(source)
+    moved = moved.with_points(moved.points + 0.1 * ~moved.fixed[:, None])
+    tm.write(target, moved, like=source, fields="drop")
+    found = meshio.read(target)
+    assert sorted(found.cell_data) == ["b", "d"]
+    assert "n" in found.point_data
+    assert "u" not in found.point_data
+    assert found.points[4] == pytest.approx((0.6, 0.6, 0.0), abs=1e-6)

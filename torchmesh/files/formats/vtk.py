@@ -13,6 +13,7 @@ import numpy as np
 
 from . import vtk_cells
 from .checks import check_vtk
+from .edits import edited
 from .format import Document, Format
 from .skipped import each_once
 from .vtk_legacy import TYPE_NAMES, LegacyArray, VtkLegacy, coded
@@ -66,7 +67,10 @@ class VtkFile:
         for array in gone:
             start, end = array.whole
             note = _METADATA.match(self.legacy.data, end)
-            edits.append((start, note.end() if note else end, b""))
+            end = note.end() if note else end
+            # Behind a head of fields, an empty line in its place would stop other readers.
+            begins = self.legacy.data[start - 1 : start] == b"\n" and not self.legacy.data.startswith(b"\n", start)
+            edits.append((start, end + (begins and self.legacy.data.startswith(b"\n", end)), b""))
         for number in {array.of for array in gone} - {-1}:
             start, end = self.legacy.heads[number]
             less = sum(array.of == number for array in gone)
@@ -98,11 +102,7 @@ class VtkFile:
             note = _METADATA.match(self.legacy.data, end)
             if note is not None:
                 edits.append((*note.span(), _with_norms(note[0], values)))
-        out, at = [], 0
-        for start, end, text in sorted(edits):
-            out += [self.legacy.data[at:start], text]
-            at = end
-        return b"".join([*out, self.legacy.data[at:]])
+        return edited(self.legacy.data, edits)
 
     def _in_file(self, mesh: meshio.Mesh) -> dict[str, np.ndarray]:
         """The cell data in the rows of the file."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..swelling import allowed
+from .edits import edited
 from .vtk_blocks import Coding, decoded, encoded, length_of
 
 _TYPES = {"Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
@@ -173,11 +174,7 @@ class VtkXml:
             edits.append(self._addition(section, piece, name, values))
         if self.appended is not None and (extra or total):
             edits.append((self.appended[0], self.appended[1], b"".join(extra) + b"\n"))
-        out, at = [], 0
-        for start, end, text in sorted(edits, key=lambda edit: edit[:2]):
-            out += [self.data[at:start], text]
-            at = end
-        return b"".join([*out, self.data[at:]])
+        return edited(self.data, edits)
 
     def _appended_again(
         self, changes: dict[int, np.ndarray], gone: set[int], extra: list[bytes]

@@ -9,6 +9,8 @@ import xml.etree.ElementTree as ET
 import xml.parsers.expat
 from dataclasses import dataclass, field
 
+from .edits import edited
+
 _INCLUDE = re.compile(r"include$")
 
 # The two ways in which programs name the grid whose mesh another grid has: meshio and ParaView by its name, others by
@@ -74,11 +76,7 @@ class XdmfText:
 
     def edited(self, edits: list[tuple[int, int, bytes]]) -> bytes:
         """The text with other bytes in some places."""
-        out, at = [], 0
-        for begin, end, new in sorted(edits, key=lambda edit: edit[:2]):
-            out += [self.data[at:begin], new]
-            at = end
-        return b"".join([*out, self.data[at:]])
+        return edited(self.data, edits)
 
 
 def _end_of_tag(data: bytes, at: int) -> int:
