@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from .files.time_series import Series, read_series, write_series
     from .flipping.delaunay import FlipInfo, FlipOptions, flip_to_delaunay
     from .improving.deform_options import DeformOptions
-    from .improving.deformation import DeformReport, deform
+    from .improving.deform_report import DeformReport
+    from .improving.deformation import deform
     from .improving.options import ImproveOptions
     from .improving.pipeline import improve
     from .improving.report import Progress, Report, Step
@@ -79,7 +80,8 @@ _NAMES = {
     "files.time_series": "Series read_series write_series",
     "flipping.delaunay": "FlipInfo FlipOptions flip_to_delaunay",
     "improving.deform_options": "DeformOptions",
-    "improving.deformation": "DeformReport deform",
+    "improving.deform_report": "DeformReport",
+    "improving.deformation": "deform",
     "improving.options": "ImproveOptions",
     "improving.step_options": "Bound",
     "improving.pipeline": "improve",

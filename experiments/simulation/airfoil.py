@@ -44,11 +44,12 @@ def pitching(mesh: tm.MeshBatch, k: int, steps: int) -> torch.Tensor:
     return layers.turned(mesh, turn).points
 
 
-def followed(**told: object) -> Way:
-    """`deform` with a bound, in which vertices follow their body as they are `told` to."""
+def followed(layer: str | None = None, rigid: torch.Tensor | None = None) -> Way:
+    """`deform` with a bound, in which a layer or vertices follow their body as they are told to."""
 
     def way(now: tm.MeshBatch, goal: torch.Tensor) -> tuple[list[Piece], tm.MeshBatch]:
-        after, report = tm.deform(now, goal, options=tm.DeformOptions(when=BOUND), trail=True, **told)  # type: ignore[arg-type]
+        options = tm.DeformOptions(when=BOUND)
+        after, report = tm.deform(now, goal, options=options, trail=True, layer=layer, rigid=rigid)
         report.check()
         assert report.trail is not None
         return [(p.previous, p.before, p.after, p.end - p.start) for p in report.trail[0]], after

@@ -161,13 +161,10 @@ def improve(
             "quads": quads.value,
             "reference": None if reference is None else str(reference),
             "beta": beta,
-            "regions_by": _told_by(improved.given.sources[0]),
             "height": height.value,
-            "fields": {"choice": fields.value, **draft.fields.to_dict()},
             "seconds": seconds,
-            **columns,
-            **_outcome(improved),
         }
+        document |= _of_the_file(improved, draft, fields.value) | columns | _outcome(improved)
         _write(improved, draft, report, document, plot, source.name)
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
@@ -176,6 +173,14 @@ def improve(
         _print_notes(improved.report, draft)
         _print_told_by(improved.given.sources[0])
     return console.verdict(f"in {target}", improved.report.quality, improved.message(), improved.curved)
+
+
+def _of_the_file(improved: "ImprovedFile", draft: "SeriesDraft", choice: str) -> dict[str, Any]:
+    """Which array told the regions, and what became of the fields."""
+    return {
+        "regions_by": _told_by(improved.given.sources[0]),
+        "fields": {"choice": choice, **draft.fields.to_dict()},
+    }
 
 
 def _columns(improved: "ImprovedFile") -> dict[str, dict[str, Any]]:
