@@ -5,6 +5,7 @@ import meshio
 import numpy as np
 import pytest
 
+import torchmesh as tm
 from torchmesh.errors import InvalidMeshError
 from torchmesh.files.formats.format import Document
 from torchmesh.files.own_numbers import triangle_numbers, with_own_numbers
@@ -55,19 +56,83 @@ End Elements
 """
 
 
+# Formats whose files have numbers of their own, or count from 1.
+UNV = "    -1\n  2411\n" + "".join(
+    f"{n:10d}{1:10d}{1:10d}{11:10d}\n{x:25.16E}{y:25.16E}{0:25.16E}\n"
+    for n, (x, y) in zip(NODES, [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], strict=True)
+)  # fmt: skip
+UNV += "    -1\n    -1\n  2412\n" + "".join(
+    "".join(f"{k:10d}" for k in head) + "\n" + "".join(f"{k:10d}" for k in nodes) + "\n"
+    for head, nodes in [([77, 91, 1, 1, 7, 3], [700, 30, 900]), ([41, 91, 1, 1, 7, 3], [700, 900, 10])]
+) + "    -1\n"  # fmt: skip
+ADCIRC = "t\n2 4\n700 0 0 1\n30 1 0 1\n900 1 1 1\n10 0 1 1\n77 3 700 30 900\n41 3 700 900 10\n"
+SMS = (
+    "MESH2D\nE3T 77 700 30 900 1\nE3T 41 700 900 10 1\nND 700 0 0 0\nND 30 1 0 0\nND 900 1 1 0\nND 10 0 1 0\n"
+)
+NODE = "4 2 0 0\n700 0 0\n30 1 0\n900 1 1\n10 0 1\n"
+ELE = "2 3 0\n77 700 30 900\n41 700 900 10\n"
+AVS = "4 2 0 0 0\n700 0 0 0\n30 1 0 0\n900 1 1 0\n10 0 1 0\n77 1 tri 700 30 900\n41 1 tri 700 900 10\n"
+PERMAS = (
+    "$ENTER COMPONENT NAME=A\n$STRUCTURE\n$COOR\n700 0. 0. 0.\n30 1. 0. 0.\n900 1. 1. 0.\n10 0. 1. 0.\n"
+    "$ELEMENT TYPE=TRIA3\n77 700 30 900\n41 700 900 10\n$END STRUCTURE\n$EXIT COMPONENT\n$FIN\n"
+)
+NUMBERED = [("a.unv", UNV), ("a.14", ADCIRC), ("a.2dm", SMS), ("a.node", NODE), ("a.avs", AVS), ("a.post", PERMAS)]
+
+# They count nodes and triangles from 1, or from another number.
+FREEFEM = "4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n1 2 3 0\n1 3 4 0\n"
+MEDIT = (
+    "MeshVersionFormatted 2\nDimension 2\nVertices\n4\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
+    "Triangles\n2\n1 2 3 0\n1 3 4 0\nEnd\n"
+)
+OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
+
+
 def document(**numbers) -> Document:
     points, triangles = meshes.grid_arrays(1, 1)
     return Document(meshio.Mesh(points, [("triangle", triangles)]), "any", **numbers)
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.msh", MSH), ("a.bdf", BDF), ("a.inp", INP), ("a.mdpa", MDPA)])
+@pytest.mark.parametrize(("name", "text"), [("a.msh", MSH), ("a.bdf", BDF), ("a.inp", INP), ("a.mdpa", MDPA), *NUMBERED])
 def test_formats_with_numbers_of_their_own(tmp_path, name, text):
     (tmp_path / name).write_text(text)
+    (tmp_path / "a.ele").write_text(ELE)
     source = Source.open(tmp_path / name)
     assert [int(n) for n in source.document.node_numbers] == NODES
     assert [int(n) for n in triangle_numbers(source.document)] == [77, 41]
     said = source.explained("the boundary edge [0, 3] and the vertex 1 meet; triangles row 1 [0, 2, 3] is flat")
     assert said.endswith("(in the file: nodes 700, 10, 30, 900; element 41)")
+
+
+@pytest.mark.parametrize(("name", "text", "element"), [("a.msh", FREEFEM, "; element 2"),
+                                                       ("a.mesh", MEDIT, "; element 2"), ("a.obj", OBJ, "")])  # fmt: skip
+def test_formats_that_count_from_1(tmp_path, name, text, element):
+    (tmp_path / name).write_text(text)
+    said = Source.open(tmp_path / name).explained("the vertex 3 is beside triangles row 1")
+    assert said.endswith(f"(in the file: node 4{element})")
+
+
+def test_what_a_file_writes_it_numbers(tmp_path):
+    """Formats in binary: a new file counts from 1, and MED may have numbers of its own."""
+    mesh = tm.MeshBatch.from_arrays(*meshes.grid_arrays(1, 1))
+    for name in ("a.slf", "a.med", "a.vol"):
+        tm.write(tmp_path / name, mesh)
+        said = Source.open(tmp_path / name).explained("the vertex 3 is beside triangles row 1")
+        assert said.endswith("(in the file: node 4; element 2)"), name
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.med", "r+") as file:
+        step = next(iter(next(iter(file["ENS_MAA"].values())).values()))
+        step["NOE/NUM"] = np.array(NODES)
+        step["MAI/TR3/NUM"] = np.array([77, 41])
+    said = Source.open(tmp_path / "a.med").explained("the vertex 3 is beside triangles row 1")
+    assert said.endswith("(in the file: node 10; element 41)")
+
+
+def test_quads_have_numbers_too_and_a_file_that_counts_them_together_says_so(tmp_path):
+    text = "NDIME= 2\nNELEM= 2\n5 0 1 2 0\n9 1 3 4 2 1\nNPOIN= 5\n0 0\n1 0\n1 1\n2 0\n2 1\nNMARK= 0\n"
+    (tmp_path / "a.su2").write_text(text)
+    source = Source.open(tmp_path / "a.su2")
+    assert source.explained("the vertex 3 is beside quads row 0").endswith("quads row 0 (in the file: element 1)")
+    assert source.explained("the vertex 3 is beside triangles row 0") == "the vertex 3 is beside triangles row 0"
 
 
 def test_a_file_that_cannot_be_taken_says_which_element_it_is(tmp_path):

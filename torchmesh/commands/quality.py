@@ -36,7 +36,7 @@ EXAMPLES = (
 
 def quality(
     sources: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Mesh files.", show_default=False)],
-    worst: Annotated[int, typer.Option(min=0, help="How many of the worst triangles to list for each file.")] = 10,
+    worst: Annotated[int, typer.Option(min=0, help="How many of the worst triangles and quads to list for each file.")] = 10,
     metrics: Annotated[
         str | None,
         typer.Option(
@@ -62,9 +62,9 @@ def quality(
 ) -> int:
     """Measure meshes: inverted triangles, shapes, and where the worst ones are.
 
-    IMR is the inverse mean ratio, 1 for an equilateral triangle. Rows count a file's triangles from 0; elements are
-    the file's own numbers (Gmsh, Nastran, Abaqus, Kratos, Exodus). The worst are the inverted triangles, largest
-    first, then those of the highest IMR. A quad is inverted if one of its corners is not upright, a six-node triangle
+    IMR is the inverse mean ratio, 1 for an equilateral triangle and for a square. Rows count a file's triangles, and
+    its quads, from 0; elements are the file's own numbers. The worst are the inverted ones, largest first, then those
+    of the highest IMR. A quad is inverted if one of its corners is not upright, a six-node triangle
     if its Jacobian is not positive everywhere on it; its scaled Jacobian is the least one over the largest. Of a time
     series (XDMF, .pvd) every mesh has a row. The exit status is 1 if any triangle or quad of any file is inverted (an
     area of zero included).
@@ -114,7 +114,6 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
     import torch
 
     from ..files.curved import given
-    from ..files.own_numbers import triangle_numbers
     from ..mesh.measure import quality as measure
     from ..mesh.metrics import evaluate, known_metrics
 
@@ -127,7 +126,7 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
         "file": console.told(str(source.path)),
         **({"steps": steps} if steps else {}),
         **console.record(mesh, q, source.curved),
-        "worst": _worst(mesh, q, upright, worst, triangle_numbers(source.document)),
+        "worst": _worst(source, q, upright, worst),
     }
     if source.curved is not None:
         record["rows_of_inverted_curved"] = given(source).inverted.nonzero()[0].tolist()
@@ -147,35 +146,42 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
     return record
 
 
-def _worst(mesh: "MeshBatch", q: "Quality", upright: "Tensor", count: int, own: Any = None) -> list[dict[str, Any]]:
-    """The `count` worst triangles: inverted ones, largest first, then those of the highest IMR.
+def _worst(source: "Source", q: "Quality", upright: "Tensor", count: int) -> list[dict[str, Any]]:
+    """The `count` worst triangles and quads: inverted ones, largest first, then those of the highest IMR.
 
     upright  (T,) bool, which triangles are not inverted
-    own      (T,) what the file calls each triangle; None: it has no numbers
     """
     import torch
 
+    from ..files.own_numbers import quad_numbers, triangle_numbers
     from ..mesh.batch import lift
 
-    if not len(mesh.triangles):
-        return []
-    # Inverted triangles rank by their area, and far above all others, which rank by their shape.
-    size = -q.area / q.area.abs().amax(0).clamp_min(1e-300) if len(q.area) else q.area
-    rank = torch.where(upright, -1 / q.inverse_mean_ratio, 1 + size)
-    rows = rank.argsort(descending=True, stable=True)[:count]
-    centroids = lift(mesh)[mesh.triangles[rows]].mean(1)
+    mesh = source.mesh
+    area, ratio = torch.cat([q.area, q.quad_area]), torch.cat([q.inverse_mean_ratio, q.quad_inverse_mean_ratio])
+    upright = torch.cat([upright, q.quad_upright])
+    # Inverted elements rank by their area, and far above all others, which rank by their shape.
+    rank = torch.where(upright, -1 / ratio, 1 - area / area.abs().amax(0).clamp_min(1e-300))
+    space, triangles = lift(mesh), len(mesh.triangles)
     flat = bool((mesh.frames[0, 0, 2] == 0) & (mesh.frames[0, 1:, 2] == 0).all())
-    return [
-        {
-            "row": row,
-            **({} if own is None else {"element": str(own[row])}),
-            "inverted": not bool(upright[row]),
-            "imr": float(q.inverse_mean_ratio[row]),
-            "area": float(q.area[row]),
-            "centroid": centroid[:2] if flat else centroid,
-        }
-        for row, centroid in zip(rows.tolist(), centroids.tolist(), strict=True)
-    ]
+    own = {"triangle": triangle_numbers(source.document), "quad": quad_numbers(source.document)}
+    found = []
+    for k in rank.argsort(descending=True, stable=True)[:count].tolist():
+        kind, row = ("triangle", k) if k < triangles else ("quad", k - triangles)
+        corners = mesh.triangles[row] if kind == "triangle" else mesh.quads[row]
+        centroid = space[corners].mean(0).tolist()
+        numbers = own[kind]
+        found.append(
+            {
+                "row": row,
+                **({"kind": kind} if len(mesh.quads) else {}),
+                **({} if numbers is None else {"element": str(numbers[row])}),
+                "inverted": not bool(upright[k]),
+                "imr": float(ratio[k]),
+                "area": float(area[k]),
+                "centroid": centroid[:2] if flat else centroid,
+            }
+        )
+    return found
 
 
 def _size_record(mesh: "MeshBatch", sizes: "Sizes") -> dict[str, float]:
@@ -284,15 +290,20 @@ def _metrics_table(record: dict[str, Any]) -> Any:
 
 
 def _worst_table(record: dict[str, Any]) -> Any:
-    """A row for each of the worst triangles."""
-    table = console.table(f"worst triangles of {_called(record)}")
-    numbered = "element" in record["worst"][0]
-    for name in ("row", *["element"] * numbered, "IMR", "area", *"xyz"[: len(record["worst"][0]["centroid"])]):
+    """A row for each of the worst triangles and quads."""
+    mixed = "kind" in record["worst"][0]
+    table = console.table(f"worst {'triangles and quads' if mixed else 'triangles'} of {_called(record)}")
+    numbered = any("element" in w for w in record["worst"])
+    if mixed:
+        table.add_column("")
+    axes = "xyz"[: len(record["worst"][0]["centroid"])]
+    for name in ("row", *["element"] * numbered, "IMR", "area", *axes):
         table.add_column(name, justify="right")
     table.add_column("")
     for w in record["worst"]:
         centroid = (f"{c:.6g}" for c in w["centroid"])
         mark = "inverted" if w["inverted"] else ""
-        own = [w["element"]] if numbered else []
-        table.add_row(str(w["row"]), *own, console.number(w["imr"]), f"{w['area']:.4g}", *centroid, mark)
+        own = [w.get("element", "")] if numbered else []
+        kind = [w["kind"]] if mixed else []
+        table.add_row(*kind, str(w["row"]), *own, console.number(w["imr"]), f"{w['area']:.4g}", *centroid, mark)
     return table

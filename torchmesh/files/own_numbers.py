@@ -1,7 +1,9 @@
 """What a file itself calls its nodes and elements, added to messages that count rows.
 
 the constrained edge [654, 629] meets ...    rows of points and triangles, counted from 0
-(in the file: nodes 655, 630)                Gmsh's tags, Nastran's and Abaqus' numbers, the maps of Exodus
+(in the file: nodes 655, 630)                Gmsh's tags, the numbers of decks, the maps of Exodus, counts from 1
+
+Nothing is added where the file's own numbers are the rows, as in files that count from 0.
 """
 
 import re
@@ -13,6 +15,7 @@ import numpy as np
 from .content import merged_rows
 from .formats.deck import TRIANGLES, triangles_of
 from .formats.format import Document
+from .quads import quads_of
 
 # So many numbers are told in one message.
 _TOLD = 12
@@ -20,23 +23,40 @@ _TOLD = 12
 _LIST = re.compile(r"\[(\d+(?:, \d+)*)\]")
 _VERTEX = re.compile(r"\b(?:vertex|vertices|point|points)(?: row| rows)? (\d+(?:(?:, | and )\d+)*)")
 _TRIANGLE = re.compile(r"\btriangles?(?: cells)?(?: rows?)? (\d+(?:(?:, | and )\d+)*)\b")
+_QUAD = re.compile(r"\bquads?(?: cells)?(?: rows?)? (\d+(?:(?:, | and )\d+)*)\b")
 
 
 def triangle_numbers(document: Document) -> Sequence[Any] | np.ndarray | None:
     """(T,) what the file calls each triangle of the mesh that is read from it; None without numbers of its own."""
-    if not any(kind in document.cell_numbers for kind in TRIANGLES):
-        return None
-    numbers: list[Any] = []
-    taken = dict.fromkeys(TRIANGLES, 0)
-    for block in document.mesh.cells:
-        if block.type in TRIANGLES:
-            start = taken[block.type]
-            taken[block.type] += len(block.data)
-            numbers += list(document.cell_numbers.get(block.type, ())[start : taken[block.type]])
-    if not document.repeats_triangles:
+    numbers = _in_file_order(document, TRIANGLES)
+    if numbers is None or not document.repeats_triangles:
         return numbers
     first, _ = merged_rows(triangles_of(document.mesh))
     return [numbers[row] for row in first.tolist()]
+
+
+def quad_numbers(document: Document) -> Sequence[Any] | np.ndarray | None:
+    """(Q,) what the file calls each quad of the mesh that is read from it; None without numbers of its own."""
+    numbers = _in_file_order(document, ("quad",))
+    if numbers is None or not document.repeats_triangles:
+        return numbers
+    _, first, _ = quads_of(document.mesh, True)
+    return [numbers[row] for row in first.tolist()]
+
+
+def _in_file_order(document: Document, kinds: Sequence[str]) -> list[Any] | None:
+    """The numbers of all cells of these types; None where the file has none for one of them."""
+    numbers: list[Any] = []
+    taken = dict.fromkeys(kinds, 0)
+    for block in document.mesh.cells:
+        if block.type in kinds:
+            start = taken[block.type]
+            taken[block.type] += len(block.data)
+            own = document.cell_numbers.get(block.type, ())[start : taken[block.type]]
+            if len(own) < len(block.data):
+                return None
+            numbers += list(own)
+    return numbers or None
 
 
 def with_own_numbers(text: str, document: Document) -> str:
@@ -44,9 +64,10 @@ def with_own_numbers(text: str, document: Document) -> str:
     parts: list[str] = []
     if document.node_numbers is not None:
         parts += _named("node", _rows(text, _VERTEX, _LIST), document.node_numbers)
-    triangles = triangle_numbers(document)
-    if triangles is not None:
-        parts += _named("element", _rows(text, _TRIANGLE), triangles)
+    rows = [(_rows(text, _TRIANGLE), triangle_numbers), (_rows(text, _QUAD), quad_numbers)]
+    for found, numbers_of in rows:
+        numbers = numbers_of(document) if found else None
+        parts += [] if numbers is None else _named("element", found, numbers)
     return f"{text} (in the file: {'; '.join(parts)})" if parts else text
 
 
@@ -57,7 +78,8 @@ def _rows(text: str, *patterns: re.Pattern[str]) -> list[int]:
 
 
 def _named(noun: str, rows: list[int], numbers: Sequence[Any] | np.ndarray) -> Iterator[str]:
+    """The numbers of rows in words; nothing where they are the rows themselves."""
     known = [str(numbers[row]) for row in rows if row < len(numbers)]
-    if known:
+    if known and known != [str(row) for row in rows]:
         more = f" and {len(known) - _TOLD} more" if len(known) > _TOLD else ""
         yield f"{noun}{'s' if len(known) > 1 else ''} {', '.join(known[:_TOLD])}{more}"

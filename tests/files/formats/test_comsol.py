@@ -161,7 +161,7 @@ def test_quads_are_in_rows(source):
     ("old", "new", "what"),
     [
         ("4 Mesh # class", "5 Geom2 # class", "its first object is a Geom2"),
-        ("3 tri # type", "4 tri2 # type", "element type 'tri2' is not known"),
+        ("3 tri # type", "4 tri3 # type", "element type 'tri3' is not known"),
         ("2 # sdim", "1 # sdim", "its dimension is 1"),
         ("5 # number of mesh", "500000 # number of mesh", "the vertices says 500000"),
         ("0 1 4 ", "0 1 5 ", "rows of points run from 0 to 4"),

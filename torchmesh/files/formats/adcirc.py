@@ -19,7 +19,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import FLAT, Document
+from .format import FLAT, Document, numbers_by_type
 from .gmsh_read import RowOf
 from .text_numbers import number_lines
 from .text_tables import Reader, Rows, TextFormat, TextTables, chains, tagged, whole
@@ -68,7 +68,7 @@ class AdcircFormat(TextFormat):
         if len(np.unique(names)) < len(names):
             raise ValueError("a node has the number of another one")
         row_of = RowOf(names, "node")
-        blocks, rows = _read_elements(reader, elements, row_of)
+        blocks, rows, numbers = _read_elements(reader, elements, row_of)
         strings, edges, tags, skipped = _read_strings(reader, row_of)
         cells = [*blocks, ("line", edges)]
         data = {STRING: [*(np.zeros(len(found), np.int64) for _, found in blocks), tags]} if len(edges) else {}
@@ -76,7 +76,11 @@ class AdcircFormat(TextFormat):
         sides = {name: edges[tags == k] for k, (name, _) in enumerate(strings, 1)}
         no_rows = [Rows(np.zeros(0, np.int64), 0)] if len(edges) else []  # strings of nodes never change
         tables = AdcircTables(lines, Rows(at, 1), [*rows, *no_rows], names, strings)
-        return Document(mesh, self.name, rest=tables, sides=sides, skipped=tuple(skipped), depths=True)
+        none = [np.zeros(0, np.int64)] * (len(mesh.cells) - len(blocks))
+        return Document(
+            mesh, self.name, rest=tables, sides=sides, skipped=tuple(skipped), depths=True, node_numbers=names,
+            cell_numbers=numbers_by_type(mesh, [*numbers, *none]),
+        )  # fmt: skip
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
         points = np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1])))
@@ -98,11 +102,14 @@ ADCIRC = AdcircFormat("adcirc", (".14", ".grd", ".gr3", ".ll"), (*FLAT, "line"),
                       region_name=STRING)  # fmt: skip
 
 
-def _read_elements(reader: Reader, count: int, row_of: RowOf) -> tuple[list[tuple[str, np.ndarray]], list[Rows]]:
-    """Runs of triangles and of quads, and where they stand."""
+def _read_elements(
+    reader: Reader, count: int, row_of: RowOf
+) -> tuple[list[tuple[str, np.ndarray]], list[Rows], list[np.ndarray]]:
+    """Runs of triangles and of quads, where they stand, and their numbers."""
     at, numbers, starts, widths = reader.table(count, 5, "the elements")
     sizes = whole(numbers[starts + 1], "the sizes of elements") if count else np.zeros(0, np.int64)
-    blocks, rows = [], []
+    names = whole(numbers[starts], "the elements") if count else np.zeros(0, np.int64)
+    blocks, rows, own = [], [], []
     ends = [0, *(1 + np.flatnonzero(np.diff(sizes))).tolist(), len(sizes)]
     for begin, end in itertools.pairwise(ends):
         if begin == end:
@@ -113,7 +120,8 @@ def _read_elements(reader: Reader, count: int, row_of: RowOf) -> tuple[list[tupl
         nodes = numbers[starts[begin:end, None] + 2 + np.arange(size)]
         blocks.append((FLAT[size - 3], row_of(whole(nodes, "the elements"))))
         rows.append(Rows(at[begin:end], 2))
-    return blocks, rows
+        own.append(names[begin:end])
+    return blocks, rows, own
 
 
 def _read_strings(

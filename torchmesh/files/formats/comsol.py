@@ -17,20 +17,24 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import LINEAR, Document
+from .format import Document, counted_by_type
 from .text_numbers import number_lines
 from .text_tables import Reader, Rows, TextFormat, TextTables, groups_by_tag, tagged, whole
 
 ENTITY = "comsol:entity"
 
 # The names of element types: meshio's name, the number of vertices, and which of them is each of meshio's.  COMSOL
-# counts the corners of a quad by rows.
+# counts the corners of a quad by rows, and mid-side nodes by rows, too.
 _KINDS: dict[str, tuple[str, int, tuple[int, ...] | None]] = {
     "vtx": ("vertex", 1, None), "edg": ("line", 2, None), "tri": ("triangle", 3, None),
-    "quad": ("quad", 4, (0, 1, 3, 2)),
+    "quad": ("quad", 4, (0, 1, 3, 2)), "edg2": ("line3", 3, None), "tri2": ("triangle6", 6, (0, 1, 2, 3, 5, 4)),
+    "quad2": ("quad9", 9, (0, 1, 3, 2, 4, 7, 8, 5, 6)),
 }  # fmt: skip
 _NAMES = {name: word for word, (name, _, _) in _KINDS.items()}
-_DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
+_DIMENSION = {"vertex": 0, "line": 1, "line3": 1, "triangle": 2, "quad": 2, "triangle6": 2, "quad9": 2}
+
+# Programs that write such files by their own order of mid-side nodes have this one; see `_order_of_nodes`.
+_OTHER_ORDER = (0, 1, 2, 3, 4, 5)
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,15 @@ class ComsolFormat(TextFormat):
         cells, tags, rows = [], [], []
         for _ in range(kinds):
             kind, where, order, nodes, entities = _read_type(reader, first, version < 4)
+            if kind == "triangle6":
+                order = _order_of_nodes(nodes, points, order)
+            nodes = nodes if order is None else nodes[:, order]
             if len(nodes):
                 cells.append((kind, nodes))
                 tags.append(entities)
                 rows.append(Rows(where, 0, order))
         mesh = meshio.Mesh(points, cells, cell_data={ENTITY: tags} if cells else None)
-        edges = [(n, t) for (kind, n), t in zip(cells, tags, strict=True) if kind == "line"]
+        edges = [(n[:, :2], t) for (kind, n), t in zip(cells, tags, strict=True) if kind in ("line", "line3")]
         sides = groups_by_tag([n for n, _ in edges], [t for _, t in edges], "boundary")
         more = [f"lines such as {reader.texts[reader.at][:60]!r}"] if reader.left else []
         selections, others = _read_selections(reader)
@@ -67,7 +74,10 @@ class ComsolFormat(TextFormat):
             sides[name] = np.concatenate([np.zeros((0, 2), np.int64), *found])
         tables = TextTables(lines, Rows(at, 0), rows, first + np.arange(count))
         skipped = [*(f"the selection {name!r}" for name in selections), *(more if others else [])]
-        return Document(mesh, self.name, rest=tables, sides=sides, skipped=tuple(skipped))
+        return Document(
+            mesh, self.name, rest=tables, sides=sides, skipped=tuple(skipped), node_numbers=tables.labels,
+            cell_numbers=counted_by_type(mesh, 0),
+        )  # fmt: skip
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
         points = np.asarray(mesh.points)
@@ -84,7 +94,7 @@ class ComsolFormat(TextFormat):
         yield f"\n{len(groups)} # number of element types\n"
         for number, (name, found) in enumerate(groups.items()):
             word = _NAMES[name]
-            columns = _KINDS[word][2]
+            columns = _order_in(like, name) or _KINDS[word][2]
             nodes = np.concatenate([mesh.cells[i].data for i in found])
             nodes = nodes if columns is None else nodes[:, np.argsort(columns)]
             tags = np.concatenate([tagged(mesh, ENTITY, i, 1) for i in found])
@@ -96,8 +106,37 @@ class ComsolFormat(TextFormat):
             yield from number_lines(np.maximum(tags - less, 0)[:, None])
 
 
-COMSOL = ComsolFormat("comsol", (".mphtxt",), ("vertex", *LINEAR), point_data="none", cell_data="regions",
+COMSOL = ComsolFormat("comsol", (".mphtxt",), tuple(_DIMENSION), point_data="none", cell_data="regions",
                       region_name=ENTITY)  # fmt: skip
+
+
+def _order_of_nodes(nodes: np.ndarray, points: np.ndarray, usual: tuple[int, ...] | None) -> tuple[int, ...] | None:
+    """Which columns of `tri2` elements (n, 6) are meshio's nodes.
+
+    A node lies on one edge.  With the wrong order, nodes between two elements lie on several.  Where that tells nothing,
+    as in a single element, the nodes lie nearer to the middles of their edges with the right order.
+    """
+
+    def fault(order: tuple[int, ...] | None) -> tuple[int, float]:
+        rows = nodes[:, order]
+        ends = np.stack([rows[:, :3], np.roll(rows[:, :3], -1, 1)], 2).reshape(-1, 2)
+        middle = rows[:, 3:].reshape(-1)
+        pairs = np.unique(np.column_stack([np.sort(ends, 1), middle]), axis=0)
+        with np.errstate(all="ignore"):
+            away = float(np.abs(points[middle] - points[ends].mean(1)).sum())
+        return len(pairs), away
+
+    if not len(nodes) or nodes.min() < 0 or nodes.max() >= len(points):
+        return usual
+    return min(usual, _OTHER_ORDER, key=fault)  # type: ignore[type-var]
+
+
+def _order_in(like: Document | None, name: str) -> tuple[int, ...] | None:
+    """The order of nodes that a file has for a type of cells; None where it has no such cells."""
+    if like is None:
+        return None
+    rows: list[Rows] = like.rest.cells
+    return next((r.order for block, r in zip(like.mesh.cells, rows, strict=True) if block.type == name), None)
 
 
 def _word(reader: Reader, what: str) -> str:
@@ -127,10 +166,11 @@ def _read_head(reader: Reader) -> int:
 def _read_type(
     reader: Reader, first: int, old: bool
 ) -> tuple[str, np.ndarray, tuple[int, ...] | None, np.ndarray, np.ndarray]:
-    """A type of elements: its name, the lines of its elements, their order, the nodes (n, k) and entities (n,)."""
+    """A type of elements: its name, the lines of its elements, their order, and as they stand the nodes and entities.
+    """
     word = _word(reader, "the name of an element type")
     if word not in _KINDS:
-        raise ValueError(f"element type {word!r} is not known; only planar meshes of linear elements can be improved")
+        raise ValueError(f"element type {word!r} is not known; only planar meshes can be improved, of elements of first and second order")
     kind, width, order = _KINDS[word]
     if reader.whole("the number of vertices of an element") != [width]:
         raise ValueError(f"its elements of type {word} have not {width} vertices")
@@ -149,8 +189,8 @@ def _read_type(
     if old or _says(reader, "pairs"):  # the domains on both sides
         (number,) = reader.whole("the number of up/down pairs")
         reader.table(number, 2, "the up/down pairs")
-    tags = tags if kind in ("triangle", "quad") else tags + 1  # COMSOL shows these from 1, and stores them from 0
-    return kind, where, order, nodes if order is None else nodes[:, order], tags
+    tags = tags if _DIMENSION[kind] == 2 else tags + 1  # COMSOL shows these from 1, and stores them from 0
+    return kind, where, order, nodes, tags
 
 
 def _says(reader: Reader, word: str) -> bool:

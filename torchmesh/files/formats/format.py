@@ -2,7 +2,7 @@
 
 import abc
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,32 @@ class Document:
     depths: bool = False
     node_numbers: Sequence[Any] | np.ndarray | None = None
     cell_numbers: Mapping[str, Sequence[Any] | np.ndarray] = field(default_factory=dict)
+
+
+def numbers_by_type(mesh: meshio.Mesh, numbers: Iterable[np.ndarray]) -> dict[str, np.ndarray]:
+    """What a file calls its cells, by their type, from the numbers of each block of cells."""
+    found: dict[str, list[np.ndarray]] = {}
+    for block, own in zip(mesh.cells, numbers, strict=True):
+        found.setdefault(block.type, []).append(own)
+    return {kind: np.concatenate(parts) for kind, parts in found.items()}
+
+
+def counted_by_type(mesh: meshio.Mesh, first: int) -> dict[str, np.ndarray]:
+    """The numbers of cells that a file counts for each type on its own, from `first`."""
+    counts: dict[str, int] = {}
+    for block in mesh.cells:
+        counts[block.type] = counts.get(block.type, 0) + len(block.data)
+    return {kind: first + np.arange(count) for kind, count in counts.items()}
+
+
+def counted_through(mesh: meshio.Mesh, first: int, kinds: Sequence[str]) -> dict[str, np.ndarray]:
+    """The numbers of cells of these types that a file counts together in the order of its blocks, from `first`."""
+    found: dict[str, list[np.ndarray]] = {}
+    for block in mesh.cells:
+        if block.type in kinds:
+            found.setdefault(block.type, []).append(first + np.arange(len(block.data)))
+            first += len(block.data)
+    return {kind: np.concatenate(parts) for kind, parts in found.items()}
 
 
 @dataclass(frozen=True)

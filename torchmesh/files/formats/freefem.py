@@ -16,7 +16,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import Document
+from .format import Document, counted_by_type
 from .text_numbers import number_lines
 from .text_tables import Reader, Rows, TextFormat, TextTables, groups_by_tag, tagged, whole
 
@@ -49,7 +49,10 @@ class FreeFemFormat(TextFormat):
         tables = TextTables(lines, Rows(at, 0), [Rows(faces_at, 0), Rows(edges_at, 0)], 1 + np.arange(vertices))
         rest = [f"lines such as {reader.texts[reader.at][:60]!r}"] if reader.left else []
         sides = groups_by_tag([cells[1][1]], [borders[:, 2]], "label")
-        return Document(mesh, self.name, rest=tables, sides=sides, skipped=tuple(rest))
+        return Document(
+            mesh, self.name, rest=tables, sides=sides, skipped=tuple(rest), node_numbers=tables.labels,
+            cell_numbers=counted_by_type(mesh, 1),
+        )  # fmt: skip
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
         tables = [

@@ -23,6 +23,7 @@ from .checks import (
     is_binary_stl,
 )
 from .format import FLAT, LINEAR, Document, Format
+from .meshio_numbers import Numbers, counted, of_avs, of_med, of_permas
 from .skipped import (
     each_once,
     in_avs,
@@ -60,6 +61,7 @@ class MeshioFormat(Format):
                    end again and again, as meshio does in many loops; "": meshio opens it
     binary_option  can meshio write it both as text and as binary
     in_memory      is it written to memory first, because HDF5 crashes the process when a disk is full
+    numbers        what a file calls its nodes and cells; None: they are counted from 0, or have no numbers
     foreign        what a file begins with that has the extension and is of another format
     """
 
@@ -72,6 +74,7 @@ class MeshioFormat(Format):
     stream: str = ""
     binary_option: bool = False
     in_memory: bool = False
+    numbers: Numbers | None = None
     foreign: bytes = b""
 
     def recognises(self, head: bytes) -> bool:
@@ -91,7 +94,11 @@ class MeshioFormat(Format):
         mesh.cell_data.pop(_MADE_ANEW[0], None)
         mesh.point_data.pop(_MADE_ANEW[1], None)
         names = self.skipped(data) if self.skipped else self.skipped_file(path) if self.skipped_file else []
-        return Document(mesh, self.name, self.is_binary(data) if self.is_binary else None, skipped=each_once(names))
+        nodes, cells = self.numbers(mesh, data or path) if self.numbers else (None, {})
+        return Document(
+            mesh, self.name, self.is_binary(data) if self.is_binary else None, skipped=each_once(names),
+            node_numbers=nodes, cell_numbers=cells,
+        )  # fmt: skip
 
     def parse(self, path: Path, data: bytes) -> meshio.Mesh:
         """The mesh of a file that has passed the checks; `data` are its bytes."""
@@ -166,26 +173,27 @@ SURFACE_FORMATS = (
 SOLVER_FORMATS = (
     MeshioFormat(
         "medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", skipped=in_medit, stream="text",
-        foreign=b"MFEM",
+        foreign=b"MFEM", numbers=counted,
     ),
     MeshioFormat(
         "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5,
-        skipped_file=in_med,
+        skipped_file=in_med, numbers=of_med,
     ),
     MeshioFormat(
-        "permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, skipped=in_permas, stream="text"
+        "permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, skipped=in_permas, stream="text",
+        numbers=of_permas,
     ),
     MeshioFormat(
         "netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True, skipped=in_netgen,
-        stream="text",
+        stream="text", numbers=counted,
     ),
     MeshioFormat(
         "avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material", check=check_avs, skipped=in_avs,
-        stream="text",
+        stream="text", numbers=of_avs,
     ),
     MeshioFormat(
         "tecplot", (".dat", ".tec"), ("triangle",), cell_data="none", check=_check_tecplot, skipped=in_tecplot,
-        stream="text",
+        stream="text", numbers=counted,
     ),
     MeshioFormat("h5m", (".h5m",), **_TRIANGLES, in_memory=True, check_file=check_hdf5, skipped_file=in_h5m),
     MeshioFormat("hmf", (".hmf",), **_TRIANGLES, in_memory=True, check_file=check_hdf5, skipped_file=in_hmf),

@@ -5,6 +5,7 @@
     elements  n, then rows of: attribute, geometry, vertices counted from 0
     boundary  the same for the elements of the boundary
     vertices  n, then the number of coordinates, then rows of coordinates
+    nodes     instead of these: positions that curve the elements (mfem_nodes.py)
 
 https://mfem.org/mesh-formats/
 """
@@ -18,7 +19,8 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import LINEAR, Document
+from .format import FLAT, LINEAR, Document, counted_through
+from .mfem_nodes import CURVED, CurvedTables, NodeValues, curved_cells, node_lines, read_nodes, without_middles
 from .text_numbers import number_lines
 from .text_tables import Reader, Rows, TextFormat, TextTables, groups_by_tag, tagged, whole
 
@@ -27,6 +29,7 @@ ATTRIBUTE = "mfem:attribute"
 # MFEM's number of each geometry: meshio's name for it, its number of vertices.
 _KINDS = {0: ("vertex", 1), 1: ("line", 2), 2: ("triangle", 3), 3: ("quad", 4)}
 _NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
+_SECOND = {"line": "line3", "triangle": "triangle6", "quad": "quad9"}
 
 _SETS = ("attribute_sets", "bdr_attribute_sets")
 
@@ -39,6 +42,8 @@ class _Parts:
     rows: list[Rows] = field(default_factory=list)
     points: np.ndarray | None = None
     points_at: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    vertices: int = 0
+    nodes: NodeValues | None = None
     sets: dict[str, list[int]] = field(default_factory=dict)
     skipped: list[str] = field(default_factory=list)
 
@@ -57,22 +62,37 @@ class MfemFormat(TextFormat):
         reader = Reader(lines, "#")
         head = reader.text("its first line")
         if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
-            raise ValueError(f"{head[:40]!r} is not of the versions 1.0 to 1.3 of MFEM's format")
+            raise ValueError(
+                f"{head[:40]!r} is not of the versions 1.0 to 1.3 of MFEM's format, as mesh.Save writes them"
+            )
         parts = _Parts()
         while reader.left:
             self._read_section(reader.text("a section"), reader, parts)
+        if parts.nodes is not None:
+            parts.points = parts.nodes.values
         if parts.points is None or not parts.blocks:
             raise ValueError("it has no elements or no vertices")
         cells = [(kind, nodes) for kind, _, nodes, _ in parts.blocks]
-        mesh = meshio.Mesh(parts.points, cells, cell_data={ATTRIBUTE: [tags for *_, tags in parts.blocks]})
         edges = [(nodes, tags) for kind, border, nodes, tags in parts.blocks if border and kind == "line"]
+        if parts.nodes is not None:
+            made = curved_cells(parts.blocks, parts.vertices, parts.nodes)
+            second = _SECOND if parts.nodes.order == 2 else {}
+            cells = [(second.get(kind, kind), nodes) for (kind, _), nodes in zip(cells, made, strict=True)]
+        mesh = meshio.Mesh(parts.points, cells, cell_data={ATTRIBUTE: [tags for *_, tags in parts.blocks]})
         sides = groups_by_tag([nodes for nodes, _ in edges], [tags for _, tags in edges], "attribute")
         for name, members in parts.sets.items():
             sides[name] = np.concatenate([np.zeros((0, 2), np.int64), *(n[np.isin(t, members)] for n, t in edges)])
         labels = np.arange(len(parts.points))
         tables = TextTables(lines, Rows(parts.points_at, 0), parts.rows, labels)
+        if parts.nodes is not None:
+            borders = [border for _, border, _, _ in parts.blocks]
+            nowhere = Rows(np.zeros(0, np.int64), 0)
+            tables = CurvedTables(lines, nowhere, parts.rows, labels, parts.nodes, parts.vertices, borders)
         comments = ["comments"] if any(line.split("#")[1:] for line in lines[1:]) else []
-        return Document(mesh, self.name, rest=tables, sides=sides, skipped=(*parts.skipped, *comments))
+        return Document(
+            mesh, self.name, rest=tables, sides=sides, skipped=(*parts.skipped, *comments),
+            cell_numbers=counted_through(mesh, 0, (*FLAT, "triangle6", "quad9")),
+        )  # fmt: skip
 
     def _read_section(self, key: str, reader: Reader, parts: _Parts) -> None:
         if key == "dimension":
@@ -84,14 +104,15 @@ class MfemFormat(TextFormat):
             _read_elements(key, at, numbers, starts, widths, parts)
         elif key == "vertices":
             (count,) = reader.whole("the number of vertices")
+            parts.vertices = count
             if reader.left and not re.fullmatch(r"\d+", reader.texts[reader.at]):
-                raise ValueError("its elements are curved (nodes); save it with straight elements: SetCurvature(1)")
+                return  # nodes follow, which have the positions
             (width,) = reader.whole("the number of coordinates")
             if not 2 <= width <= 3:
                 raise ValueError(f"its vertices have {width} coordinates instead of 2 or 3")
             parts.points_at, parts.points = reader.columns(count, width, "vertices")
         elif key == "nodes":
-            raise ValueError("its elements are curved (nodes); save it with straight elements: SetCurvature(1)")
+            parts.nodes = read_nodes(reader)
         elif key in _SETS:
             parts.skipped.append(f"the {key}")
             (count,) = reader.whole(f"the number of {key}")
@@ -106,19 +127,27 @@ class MfemFormat(TextFormat):
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:
         groups: dict[bool, list[np.ndarray]] = {False: [], True: []}
-        for i, block in enumerate(mesh.cells):
-            border = block.type in ("line", "vertex")
-            head = np.column_stack([tagged(mesh, ATTRIBUTE, i, 1), np.full(len(block.data), _NUMBERS[block.type])])
+        points = np.asarray(mesh.points)
+        if points.shape[1] == 3 and not points[:, 2].any():
+            points = points[:, :2]
+        cells, layout = [(block.type, block.data) for block in mesh.cells], None
+        second = any(block.type in CURVED for block in mesh.cells)
+        if second or (like is not None and isinstance(like.rest, CurvedTables)):
+            cells, layout = without_middles(mesh)
+        for i, (kind, data) in enumerate(cells):
+            border = kind in ("line", "vertex")
+            head = np.column_stack([tagged(mesh, ATTRIBUTE, i, 1), np.full(len(data), _NUMBERS[kind])])
             head[:, 0] = np.maximum(head[:, 0], 1)  # attributes are positive
-            groups[border].append(np.column_stack([head, block.data]))
+            groups[border].append(np.column_stack([head, data]))
         yield "MFEM mesh v1.0\n\ndimension\n2\n"
         for border, name in ((False, "elements"), (True, "boundary")):
             yield f"\n{name}\n{sum(map(len, groups[border]))}\n"
             for table in groups[border]:
                 yield from number_lines(table)
-        points = np.asarray(mesh.points)
-        if points.shape[1] == 3 and not points[:, 2].any():
-            points = points[:, :2]
+        if layout is not None:
+            yield f"\nvertices\n{len(layout.vertices)}\n"
+            yield from node_lines(layout.values(points, 1 + second), 1 + second)
+            return
         yield f"\nvertices\n{len(points)}\n{points.shape[1]}\n"
         yield from number_lines(points)
 
@@ -143,5 +172,5 @@ def _read_elements(
 
 
 # The extension .mfem is ours: it says that a new file is not to be one of Medit's.
-MFEM = MfemFormat("mfem", (".mfem", ".mesh"), ("vertex", *LINEAR), point_data="none", cell_data="regions",
+MFEM = MfemFormat("mfem", (".mfem", ".mesh"), ("vertex", *LINEAR, *CURVED), point_data="none", cell_data="regions",
                   region_name=ATTRIBUTE)  # fmt: skip

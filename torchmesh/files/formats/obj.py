@@ -43,7 +43,7 @@ class ObjFormat(Format):
     def read(self, path: Path) -> Document:
         with open(path, encoding="utf-8", errors="surrogateescape") as stream:
             mesh, file = _parse(stream.read().splitlines())
-        return Document(mesh, self.name, rest=file)
+        return Document(mesh, self.name, rest=file, node_numbers=1 + np.arange(len(mesh.points)))
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         lines = _renewed(like.rest, mesh) if like is not None and same_rows else _lines(mesh)

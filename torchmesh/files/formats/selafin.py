@@ -17,7 +17,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import FLAT, Document, Format
+from .format import FLAT, Document, Format, counted_by_type
 
 # More planes than one are layers of prisms.
 _PLANES, _DATE = 6, 9
@@ -158,7 +158,9 @@ class SelafinFormat(Format):
 
     def read(self, path: Path) -> Document:
         file = Selafin.of(path.read_bytes())
-        return Document(file.mesh(), self.name, rest=file)
+        mesh = file.mesh()
+        nodes = 1 + np.arange(len(mesh.points))
+        return Document(mesh, self.name, rest=file, node_numbers=nodes, cell_numbers=counted_by_type(mesh, 1))
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         names = list(like.mesh.point_data) if like is not None else []

@@ -15,7 +15,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import LINEAR, Document
+from .format import LINEAR, Document, numbers_by_type
 from .gmsh_read import RowOf
 from .text_numbers import number_lines, numbers_of
 from .text_tables import Rows, TextFormat, TextTables, chains, tagged, whole
@@ -54,7 +54,7 @@ class SmsFormat(TextFormat):
         if len(np.unique(names)) < len(names):
             raise ValueError("a node has the number of another one")
         row_of = RowOf(names, "node")
-        cells, tags, rows = [], [], []
+        cells, tags, rows, own = [], [], [], []
         for word, numbers in runs:
             kind, count, order = _KINDS[word]
             where, table_of, material = _columns(lines, numbers, 1 + count, word)
@@ -62,11 +62,13 @@ class SmsFormat(TextFormat):
             cells.append((kind, nodes if order is None else nodes[:, order]))
             tags.append(material)
             rows.append(Rows(where, 2, order))
+            own.append(whole(table_of[:, 0], word))
         strings = _strings(lines, cards.get("NS", []), row_of)
         for edges in strings.values():
             cells.append(("line", edges))
             tags.append(np.zeros(len(edges), np.int64))
             rows.append(Rows(np.zeros(0, np.int64), 0))  # these lines never change
+            own.append(np.zeros(len(edges), np.int64))
         mesh = meshio.Mesh(table[:, 1:], cells, cell_data={MATERIAL: tags} if cells else None)
         known = {"MESH2D", "ND", "NS", "NUM_MATERIALS_PER_ELEM", "", *_KINDS}
         others = [f"{word} cards" for word in cards if word not in known]
@@ -77,6 +79,8 @@ class SmsFormat(TextFormat):
             sides=strings,
             skipped=tuple(others),
             depths=True,
+            node_numbers=names,
+            cell_numbers=numbers_by_type(mesh, own),
         )
 
     def new_lines(self, mesh: meshio.Mesh, like: Document | None) -> Iterator[str]:

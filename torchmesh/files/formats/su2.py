@@ -14,7 +14,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .format import LINEAR, Document, Format
+from .format import FLAT, LINEAR, Document, Format, counted_through
 from .su2_zones import Su2Lines, dimension, flat_points, read_zones, section_rows, zones_of
 from .text_numbers import number_lines, numbers_of
 
@@ -39,10 +39,10 @@ class Su2Format(Format):
             if zones_of(list(itertools.islice(stream, 200))) > 1:
                 stream.seek(0)
                 zones, file = read_zones(list(stream), _elements, _TAG)
-                return Document(zones, self.name, rest=file)
+                return Document(zones, self.name, rest=file)  # each zone counts from 0
             stream.seek(0)
             mesh, file = _parse(list(stream))
-        return Document(mesh, self.name, rest=file)
+        return Document(mesh, self.name, rest=file, cell_numbers=counted_through(mesh, 0, FLAT))
 
     def patches(self, document: Document) -> bool:
         return document.rest.several

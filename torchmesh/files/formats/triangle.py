@@ -60,7 +60,7 @@ class TriangleFormat(Format):
         node_rows, points, labels, point_data = _read_nodes(node_lines)
         row_of = RowOf(labels, "node")
         lines = read_lines(elements)
-        rows, kind, faces, cell_data = _read_elements(lines, row_of)
+        rows, kind, faces, numbers, cell_data = _read_elements(lines, row_of)
         cells, tags = [(kind, faces)], []
         text = read_lines(segments) if segments.is_file() else None
         if text is not None:
@@ -82,7 +82,9 @@ class TriangleFormat(Format):
         sides = groups_by_tag([e for _, e in cells[1:]], tags, "marker")
         others = [_beside(path, ending).name for ending in (".edge", ".neigh", ".area")]
         left = tuple(name for name in others if (path.parent / name).is_file())
-        return Document(mesh, self.name, rest=files, sides=sides, skipped=left)
+        return Document(
+            mesh, self.name, rest=files, sides=sides, skipped=left, node_numbers=labels, cell_numbers={kind: numbers}
+        )
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         files: TriangleFiles | None = like.rest if like is not None else None
@@ -157,8 +159,10 @@ def _read_nodes(lines: list[str]) -> tuple[Rows, np.ndarray, np.ndarray, dict[st
     return Rows(at, 1), table[:, 1:3], labels, data
 
 
-def _read_elements(lines: list[str], row_of: RowOf) -> tuple[Rows, str, np.ndarray, dict[str, np.ndarray]]:
-    """Where the triangles stand, their type, their nodes and their data."""
+def _read_elements(
+    lines: list[str], row_of: RowOf
+) -> tuple[Rows, str, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Where the triangles stand, their type, their nodes, their numbers and their data."""
     reader = Reader(lines, "#")
     count, width, attributes = _counts(reader, "the numbers of triangles, nodes, attributes", 3)
     if width not in (3, 6):
@@ -172,7 +176,8 @@ def _read_elements(lines: list[str], row_of: RowOf) -> tuple[Rows, str, np.ndarr
         integer = bool((values == np.floor(values)).all() and (np.abs(values) < 1e15).all())
         data[name.format(k + 1)] = values.astype(np.int64) if integer else values
     kind = "triangle" if width == 3 else "triangle6"
-    return Rows(at, 1, order), kind, nodes if order is None else nodes[:, order], data
+    numbers = whole(table[:, 0], "the triangles")
+    return Rows(at, 1, order), kind, nodes if order is None else nodes[:, order], numbers, data
 
 
 def _read_segments(lines: list[str], row_of: RowOf) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ import meshio
 import numpy as np
 
 from .deck import read_lines
-from .format import ALL_BUT_POLYGONS, Document, Format
+from .format import ALL_BUT_POLYGONS, Document, Format, numbers_by_type
 from .gmsh_read import RowOf
 from .text_tables import whole
 
@@ -105,6 +105,7 @@ class _Reader:
         self.coordinates: list[list[float]] = []
         self.names: list[int] = []
         self.blocks: dict[str, tuple[list[list[int]], list[int], list[int]]] = {}
+        self.labels: dict[str, list[int]] = {}
         self.where: dict[int, tuple[str, int]] = {}
         self.groups: list[tuple[str, list[tuple[int, int]]]] = []
         self.skipped: dict[str, None] = {}
@@ -133,7 +134,11 @@ class _Reader:
             self.file.cells.append(at)
         mesh = meshio.Mesh(np.array(self.coordinates), cells, cell_data={PROPERTY: tags})
         self._give_groups(mesh, row_of)
-        return Document(mesh, name, rest=self.file, skipped=tuple(self.skipped))
+        own = [np.array(self.labels[kind], np.int64) for kind in self.blocks]
+        return Document(
+            mesh, name, rest=self.file, skipped=tuple(self.skipped), node_numbers=labels,
+            cell_numbers=numbers_by_type(mesh, own),
+        )  # fmt: skip
 
     def _datasets(self) -> Iterator[tuple[str, int, int]]:
         """The number of each dataset, and the lines that it begins at and ends before."""
@@ -175,6 +180,7 @@ class _Reader:
                 raise ValueError("its last element is cut short")
             rows, tags, places = self.blocks.setdefault(kind, ([], [], []))
             self.where[label] = (kind, len(rows))
+            self.labels.setdefault(kind, []).append(label)
             rows.append([int(word) for word in self._words(at, count, "an element")[:count]])
             tags.append(properties[0])
             places.append(at)
