@@ -67,3 +67,11 @@ def test_a_time_series_is_one(call):
     assert status == 1
     assert (record["steps"], record["times"]) == (3, [0.0, 1.0, 2.0])
     assert "time series: 3 steps, time 0 to 2" in call("info", "run.xdmf").out
+
+
+def test_regions_of_quads_alone_are_counted(call, folder):
+    points = np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1.0]])
+    quads = np.array([[0, 1, 4, 3], [1, 2, 5, 4]])
+    meshio.Mesh(points, [("quad", quads)], cell_data={"material": [np.array([1, 2])]}).write(folder / "two.vtu")
+    status, record = told(call, "two.vtu")
+    assert (status, record["regions"]["count"]) == (0, 2)

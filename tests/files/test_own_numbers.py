@@ -66,9 +66,7 @@ UNV += "    -1\n    -1\n  2412\n" + "".join(
     for head, nodes in [([77, 91, 1, 1, 7, 3], [700, 30, 900]), ([41, 91, 1, 1, 7, 3], [700, 900, 10])]
 ) + "    -1\n"  # fmt: skip
 ADCIRC = "t\n2 4\n700 0 0 1\n30 1 0 1\n900 1 1 1\n10 0 1 1\n77 3 700 30 900\n41 3 700 900 10\n"
-SMS = (
-    "MESH2D\nE3T 77 700 30 900 1\nE3T 41 700 900 10 1\nND 700 0 0 0\nND 30 1 0 0\nND 900 1 1 0\nND 10 0 1 0\n"
-)
+SMS = "MESH2D\nE3T 77 700 30 900 1\nE3T 41 700 900 10 1\nND 700 0 0 0\nND 30 1 0 0\nND 900 1 1 0\nND 10 0 1 0\n"
 NODE = "4 2 0 0\n700 0 0\n30 1 0\n900 1 1\n10 0 1\n"
 ELE = "2 3 0\n77 700 30 900\n41 700 900 10\n"
 AVS = "4 2 0 0 0\n700 0 0 0\n30 1 0 0\n900 1 1 0\n10 0 1 0\n77 1 tri 700 30 900\n41 1 tri 700 900 10\n"
@@ -76,7 +74,8 @@ PERMAS = (
     "$ENTER COMPONENT NAME=A\n$STRUCTURE\n$COOR\n700 0. 0. 0.\n30 1. 0. 0.\n900 1. 1. 0.\n10 0. 1. 0.\n"
     "$ELEMENT TYPE=TRIA3\n77 700 30 900\n41 700 900 10\n$END STRUCTURE\n$EXIT COMPONENT\n$FIN\n"
 )
-NUMBERED = [("a.unv", UNV), ("a.14", ADCIRC), ("a.2dm", SMS), ("a.node", NODE), ("a.avs", AVS), ("a.post", PERMAS)]
+NUMBERED = [("a.msh", MSH), ("a.bdf", BDF), ("a.inp", INP), ("a.mdpa", MDPA)]
+NUMBERED += [("a.unv", UNV), ("a.14", ADCIRC), ("a.2dm", SMS), ("a.node", NODE), ("a.avs", AVS), ("a.post", PERMAS)]
 
 # They count nodes and triangles from 1, or from another number.
 FREEFEM = "4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n1 2 3 0\n1 3 4 0\n"
@@ -92,7 +91,9 @@ def document(**numbers) -> Document:
     return Document(meshio.Mesh(points, [("triangle", triangles)]), "any", **numbers)
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.msh", MSH), ("a.bdf", BDF), ("a.inp", INP), ("a.mdpa", MDPA), *NUMBERED])
+@pytest.mark.parametrize(
+    ("name", "text"), [("a.msh", MSH), ("a.bdf", BDF), ("a.inp", INP), ("a.mdpa", MDPA), *NUMBERED]
+)
 def test_formats_with_numbers_of_their_own(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     (tmp_path / "a.ele").write_text(ELE)
@@ -103,8 +104,10 @@ def test_formats_with_numbers_of_their_own(tmp_path, name, text):
     assert said.endswith("(in the file: nodes 700, 10, 30, 900; element 41)")
 
 
-@pytest.mark.parametrize(("name", "text", "element"), [("a.msh", FREEFEM, "; element 2"),
-                                                       ("a.mesh", MEDIT, "; element 2"), ("a.obj", OBJ, "")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "text", "element"),
+    [("a.msh", FREEFEM, "; element 2"), ("a.mesh", MEDIT, "; element 2"), ("a.obj", OBJ, "")],
+)
 def test_formats_that_count_from_1(tmp_path, name, text, element):
     (tmp_path / name).write_text(text)
     said = Source.open(tmp_path / name).explained("the vertex 3 is beside triangles row 1")

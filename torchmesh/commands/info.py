@@ -88,7 +88,7 @@ def _record(given: "Series") -> dict[str, Any]:
         "extent": [space.amin(0).tolist(), space.amax(0).tolist()],
         **{key: figures[key] for key in ("inverted", "imr_average", "imr_maximum")},
         "regions": {
-            "count": int(content.region.max()) + 1,
+            "count": _regions(source),
             "told_by": str(content.told_by) or None,
             "not_taken": list(content.told_by.others),
             "constrained_edges": len(mesh.constrained_edges),
@@ -103,6 +103,19 @@ def _of_part(part: Any, points: Any) -> dict[str, Any]:
     length = {"length": part.length(points)} if len(part.edges) else {}
     on_it = {"triangles": part.triangles, "quads": part.quads}
     return {"name": part.name, "kind": part.kind, "vertices": len(part.vertices), **length, **on_it}
+
+
+def _regions(source: "Source") -> int:
+    """In how many regions the triangles and quads lie."""
+    import numpy as np
+
+    from ..files.quads import regions_of_all
+
+    content = source.content
+    if not len(content.quads):
+        return int(content.region.max()) + 1
+    code = regions_of_all(content.mesh, content.first, content.quad_first, content.told_by)
+    return len(np.unique(code))
 
 
 def _walls(source: "Source") -> dict[str, Any]:

@@ -36,7 +36,7 @@ EXAMPLES = (
 
 def quality(
     sources: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Mesh files.", show_default=False)],
-    worst: Annotated[int, typer.Option(min=0, help="How many of the worst triangles and quads to list for each file.")] = 10,
+    worst: Annotated[int, typer.Option(min=0, help="How many of the worst elements to list for each file.")] = 10,
     metrics: Annotated[
         str | None,
         typer.Option(

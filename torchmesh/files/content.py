@@ -189,6 +189,11 @@ def _check_types(mesh: meshio.Mesh, path: Path) -> None:
             raise InvalidMeshError(
                 f"{path}: it has {name} cells; of curved triangles those of six nodes can be improved: convert it first"
             )
+        if name.startswith("quad") and name != "quad" and not types & {"triangle", "triangle6", "quad"}:
+            raise InvalidMeshError(
+                f"{path}: it has {name} cells; of quads those of four nodes can be improved: save it with elements of "
+                "first order (Gmsh: -order 1, MFEM: SetCurvature(1), VTK: as VTK_QUAD)"
+            )
         if name not in _LINEAR and name.rstrip("0123456789") not in _HIGHER_ORDER:
             raise InvalidMeshError(
                 f"{path}: it has {name} cells; only planar meshes of triangles and linear quads can be improved"

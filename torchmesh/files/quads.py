@@ -44,20 +44,7 @@ def interfaces_of_quads(
     """
     if not len(quads[0]):
         return np.zeros((0, 2), np.int64)
-    from .fields import on_triangles
-
-    columns = [mesh.cell_data[name] for name in told.data]
-    for name in told.sets:
-        columns.append(
-            [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, mesh.cell_sets[name], strict=True)]
-        )
-    code = np.zeros(len(triangles[0]) + len(quads[0]), np.int64)
-    for column in columns:
-        parts = on_triangles(mesh, column)[triangles[1]], on_quads(mesh, column)[quads[1]]
-        if all(len(np.unique(part)) < 2 for part in parts):
-            continue
-        values, rank = np.unique(np.concatenate(parts), return_inverse=True)
-        code = np.unique(code * len(values) + rank.reshape(-1), return_inverse=True)[1].reshape(-1)
+    code = regions_of_all(mesh, triangles[1], quads[1], told)
     edges = np.concatenate([sides_of(triangles[0]), sides_of(quads[0])])
     side = np.concatenate([np.repeat(code[: len(triangles[0])], 3), np.repeat(code[len(triangles[0]) :], 4)])
     of_quad = np.arange(len(edges)) >= 3 * len(triangles[0])
@@ -66,3 +53,25 @@ def interfaces_of_quads(
     one, two = order[:-1], order[1:]
     differ = (keys[one] == keys[two]) & (side[one] != side[two]) & (of_quad[one] | of_quad[two])
     return edges[one[differ]]
+
+
+def regions_of_all(mesh: meshio.Mesh, triangles: np.ndarray, quads: np.ndarray, told: Regions) -> np.ndarray:
+    """(T + Q,) the number of the region that each triangle, and then each quad, is in.
+
+    triangles, quads  the row of the file that each is first in
+    """
+    from .fields import on_triangles
+
+    columns = [mesh.cell_data[name] for name in told.data]
+    for name in told.sets:
+        columns.append(
+            [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, mesh.cell_sets[name], strict=True)]
+        )
+    code = np.zeros(len(triangles) + len(quads), np.int64)
+    for column in columns:
+        parts = on_triangles(mesh, column)[triangles], on_quads(mesh, column)[quads]
+        if all(len(np.unique(part)) < 2 for part in parts):
+            continue
+        values, rank = np.unique(np.concatenate(parts), return_inverse=True)
+        code = np.unique(code * len(values) + rank.reshape(-1), return_inverse=True)[1].reshape(-1)
+    return code

@@ -178,7 +178,9 @@ def test_only_nodes_and_elements_of_a_deck_change(tmp_path, name):
     changed = [k for k, (a, b) in enumerate(zip(was, now, strict=True)) if a != b]
     assert changed
     nodes = next(k for k, line in enumerate(was) if line.startswith(("*NODE", "GRID", "Begin Nodes", "# Mesh vertex")))
-    last = max(k for k, line in enumerate(was) if line.startswith(("*SOLID", "ENDDATA", "End Elements", "48 # number of geo")))
+    last = max(
+        k for k, line in enumerate(was) if line.startswith(("*SOLID", "ENDDATA", "End Elements", "48 # number of geo"))
+    )
     # The load on a side goes to the element that has the side now.
     assert all(nodes <= k < last or "P" in was[k] for k in changed)
 

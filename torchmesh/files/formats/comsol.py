@@ -113,8 +113,8 @@ COMSOL = ComsolFormat("comsol", (".mphtxt",), tuple(_DIMENSION), point_data="non
 def _order_of_nodes(nodes: np.ndarray, points: np.ndarray, usual: tuple[int, ...] | None) -> tuple[int, ...] | None:
     """Which columns of `tri2` elements (n, 6) are meshio's nodes.
 
-    A node lies on one edge.  With the wrong order, nodes between two elements lie on several.  Where that tells nothing,
-    as in a single element, the nodes lie nearer to the middles of their edges with the right order.
+    A node lies on one edge.  With the wrong order, nodes between two elements lie on several.  Where that tells
+    nothing, as in a single element, the nodes lie nearer to the middles of their edges with the right order.
     """
 
     def fault(order: tuple[int, ...] | None) -> tuple[int, float]:
@@ -128,7 +128,7 @@ def _order_of_nodes(nodes: np.ndarray, points: np.ndarray, usual: tuple[int, ...
 
     if not len(nodes) or nodes.min() < 0 or nodes.max() >= len(points):
         return usual
-    return min(usual, _OTHER_ORDER, key=fault)  # type: ignore[type-var]
+    return min(usual, _OTHER_ORDER, key=fault)
 
 
 def _order_in(like: Document | None, name: str) -> tuple[int, ...] | None:
@@ -166,11 +166,10 @@ def _read_head(reader: Reader) -> int:
 def _read_type(
     reader: Reader, first: int, old: bool
 ) -> tuple[str, np.ndarray, tuple[int, ...] | None, np.ndarray, np.ndarray]:
-    """A type of elements: its name, the lines of its elements, their order, and as they stand the nodes and entities.
-    """
+    """A type of elements: its name, the lines of its elements, their order; as they stand, nodes and entities."""
     word = _word(reader, "the name of an element type")
     if word not in _KINDS:
-        raise ValueError(f"element type {word!r} is not known; only planar meshes can be improved, of elements of first and second order")
+        raise ValueError(f"element type {word!r} is not known; only planar elements of order 1 and 2 can be improved")
     kind, width, order = _KINDS[word]
     if reader.whole("the number of vertices of an element") != [width]:
         raise ValueError(f"its elements of type {word} have not {width} vertices")

@@ -39,7 +39,11 @@ def of_permas(mesh: meshio.Mesh, file: bytes | Path) -> Names:
     for section in re.split(rb"^[ \t]*\$", file, flags=re.M)[1:]:
         head, *rows = section.splitlines()
         if (nodes := head.upper().startswith(b"COOR")) or head.upper().startswith(b"ELEMENT"):
-            starts = [row for before, row in zip([b"", *rows], rows, strict=False) if before.lstrip()[:1] == b"!" or not before.rstrip().endswith(b"!")]
+            starts = [
+                row
+                for before, row in zip([b"", *rows], rows, strict=False)
+                if before.lstrip()[:1] == b"!" or not before.rstrip().endswith(b"!")
+            ]
             found[nodes] += [int(match[1]) for row in starts if (match := re.match(rb"\s*(\d+)\s", row))]
     nodes = np.array(found[True], np.int64)
     return nodes if len(nodes) == len(mesh.points) else None, numbers_by_type(mesh, _in_blocks(mesh, found[False]))

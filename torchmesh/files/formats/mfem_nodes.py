@@ -65,20 +65,22 @@ def read_nodes(reader: Reader) -> NodeValues:
     if order not in (1, 2):
         discontinuous = "; they are periodic or torn at edges" if name.startswith("L2") else ""
         raise ValueError(
-            f"its elements are curved by {name}{discontinuous}; continuous ones of order 1 and 2 can be improved: save it "
-            "after SetCurvature(2, false) in MFEM"
+            f"its elements are curved by {name}{discontinuous}; continuous ones of order 1 and 2 can be improved: "
+            "save it after SetCurvature(2, false) in MFEM"
         )
     if not 2 <= width <= 3:
         raise ValueError(f"its nodes have {width} coordinates instead of 2 or 3")
-    lines, words, values = [], [], []
+    lines: list[int] = []
+    words: list[int] = []
+    values: list[float] = []
     while reader.left and not reader.texts[reader.at][0].isalpha():
-        number, row = reader.numbers[reader.at], reader.text("the nodes").split()
+        number, texts = reader.numbers[reader.at], reader.text("the nodes").split()
         try:
-            values += [float(word) for word in row]
+            values += [float(word) for word in texts]
         except ValueError:
-            raise ValueError(f"its nodes have a row that is not numbers: {' '.join(row)[:60]!r}") from None
-        lines += [number] * len(row)
-        words += range(len(row))
+            raise ValueError(f"its nodes have a row that is not numbers: {' '.join(texts)[:60]!r}") from None
+        lines += [number] * len(texts)
+        words += range(len(texts))
     if len(values) % width:
         raise ValueError(f"its nodes have {len(values)} numbers, which are no rows of {width}")
     table = np.array(values).reshape((width, -1) if by_axis else (-1, width))
@@ -137,13 +139,15 @@ class Layout:
         return np.where(keys[order][at] == wanted, order[at], -1)
 
     def values(self, points: np.ndarray, order: int) -> np.ndarray:
-        """(N, k) the positions of MFEM's nodes; without nodes of their own, edges and quads have those of their middles."""
+        """(N, k) the positions of MFEM's nodes; edges and quads without nodes of their own have their middles."""
         parts = [points[self.vertices]]
         if order == 2:
             ends = points[self.edges].mean(1)
             sides = np.where(self.at_edges[:, None] >= 0, points[self.at_edges], ends)
             parts.append(sides)
-            around = np.stack([self.nodes_of(np.stack([self.quads[:, k], self.quads[:, k - 3]], 1)) for k in range(4)], 1)
+            around = np.stack(
+                [self.nodes_of(np.stack([self.quads[:, k], self.quads[:, k - 3]], 1)) for k in range(4)], 1
+            )
             corners = points[self.quads].sum(1)
             inside = sides[around].sum(1) / 2 - corners / 4  # as eight-node quads have it
             parts.append(np.where(self.at_quads[:, None] >= 0, points[self.at_quads], inside))
@@ -237,5 +241,6 @@ def without_middles(mesh: meshio.Mesh) -> tuple[list[tuple[str, np.ndarray]], La
 
 def node_lines(values: np.ndarray, order: int) -> Iterator[str]:
     """The section of nodes of a new file."""
-    yield f"\nnodes\nFiniteElementSpace\nFiniteElementCollection: H1_2D_P{order}\nVDim: {values.shape[1]}\nOrdering: 1\n\n"
+    yield f"\nnodes\nFiniteElementSpace\nFiniteElementCollection: H1_2D_P{order}\n"
+    yield f"VDim: {values.shape[1]}\nOrdering: 1\n\n"
     yield from number_lines(values)

@@ -159,9 +159,7 @@ def _read_nodes(lines: list[str]) -> tuple[Rows, np.ndarray, np.ndarray, dict[st
     return Rows(at, 1), table[:, 1:3], labels, data
 
 
-def _read_elements(
-    lines: list[str], row_of: RowOf
-) -> tuple[Rows, str, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+def _read_elements(lines: list[str], row_of: RowOf) -> tuple[Rows, str, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Where the triangles stand, their type, their nodes, their numbers and their data."""
     reader = Reader(lines, "#")
     count, width, attributes = _counts(reader, "the numbers of triangles, nodes, attributes", 3)
