@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
@@ -26,6 +27,9 @@ from .walls import HELD, Walls
 # In a mesh that is known to be impossible, held edges are left out of the search for crossings when there are
 # more edges than this: hundreds of thousands would take seconds.
 _MANY = 50_000
+
+# So often what is left of a batch is looked at together before each mesh is looked at alone.
+_LOOKS = 4
 
 
 @without_autograd
@@ -61,17 +65,41 @@ def diagnose(
     if bool(unfit.any()):
         return _without_unfit(batch, unfit, topology, most, interfaces)
     batch = holding(batch, interfaces)
-    # First all meshes at once, as pieces of one; each is looked at alone only if something was found.
-    if len(batch) > 1 and not len(batch.quads) and not _of_one(batch, topology == "keep", most):
-        return []
+    keep = topology == "keep"
     problems = []
-    for b, mesh in enumerate(batch.split()):
+    for b in range(len(batch)) if len(batch.quads) else _suspects(batch, keep, most):
+        mesh = batch.select(torch.arange(len(batch), device=batch.points.device) == b)
         told: dict[ProblemKind, int] = {}
-        for kind, text, vertices, place in _with_quads(_of_one(mesh, topology == "keep", most), mesh, most):
+        for kind, text, vertices, place in _with_quads(_of_one(mesh, keep, most), mesh, most):
             told[kind] = told.get(kind, 0) + 1
             if told[kind] <= most:
                 problems.append(Problem(kind, text, b, vertices, place))
     return problems
+
+
+def _suspects(batch: MeshBatch, keep: bool, most: int) -> list[int]:
+    """The meshes that are to be looked at alone, in order; nothing is wrong with the others.
+
+    All meshes are looked at together, as pieces of one.  What is found in one may hide what is wrong with another, so
+    the others are looked at again, together, until nothing is found.
+    """
+    if len(batch) == 1:
+        return [0]
+    suspects: set[int] = set()
+    left = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
+    for _ in range(_LOOKS):
+        part = batch if not suspects else batch.select(left)
+        found = _of_one(part, keep, most * len(part))
+        if not found:
+            return sorted(suspects)
+        vertices = torch.tensor([v for finding in found for v in finding.vertices], device=left.device)
+        here = torch.searchsorted(part.point_offsets, vertices, right=True) - 1
+        numbers = left.nonzero().squeeze(1)[here.unique()]
+        suspects |= set(numbers.tolist())
+        left[numbers] = False
+        if not bool(left.any()):
+            break
+    return sorted(suspects | set(left.nonzero().squeeze(1).tolist()))
 
 
 def _with_quads(found: list[Finding], mesh: MeshBatch, most: int) -> list[Finding]:

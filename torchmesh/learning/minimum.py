@@ -1,11 +1,10 @@
 """The minimum of the smoothing energy as a differentiable function of the fixed vertices.
 
-Newton's method takes each mesh to its minimum: near it with full steps, farther away with steps that are halved until
-the energy falls.  The derivative follows from the implicit function theorem, as nn.py explains.
+Newton's method takes each mesh to its minimum (optimising/newton.py).  The derivative follows from the implicit
+function theorem, as nn.py explains.
 """
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,13 +15,13 @@ from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import holding
 from ..mesh.means import vertex_size
 from ..mesh.measure import upright
-from ..mesh.ragged import segment_any, segment_max, segment_sum, spread
+from ..mesh.ragged import segment_any, spread
 from ..mesh.triangle import Corners
-from ..optimising.assembly import chunk_offsets, chunks_of, energy_and_forces
 from ..optimising.blocks import BLOCK
 from ..optimising.conjugate_gradients import solve
 from ..optimising.hessian import Hessian
 from ..optimising.jacobian import Target, equilateral, invariants
+from ..optimising.newton import NewtonOptions, NewtonProblem, newton
 from ..optimising.objective import Packing, pack
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
@@ -30,16 +29,9 @@ from ..untangling.options import UntangleOptions
 from .aims import Aims
 from .refusals import FirstOnly
 
-# The part of the decrease that the slope promises which a step must reach (Armijo's condition).
-_DECREASE = 1e-4
-
-# After a full Newton step of m near the minimum (in local edge lengths) less than this times m squared, and m times
-# the tolerance of the linear system, is left to move.  A tenth of it was measured on jittered squares.
-_LEFT = 10.0
-
 
 @dataclass(frozen=True)
-class LayerOptions:
+class LayerOptions(NewtonOptions):
     """How `Smooth` and `Untangle` find their minimum and its derivative.
 
     smooth              the energy (power, ceiling) and the L-BFGS that goes ahead; the boundary stays, and targets
@@ -50,25 +42,16 @@ class LayerOptions:
     newton_steps        Newton steps at most, which take the L-BFGS result to the minimum
     tolerance           a mesh is at its minimum if what is left to move, in local edge lengths, is below this
     cg_tolerance        relative residual of the linear systems, forward and backward
-    cg_iterations       products with the Hessian at most for one linear system
-    first_cg_tolerance  relative residual of the first Newton step's linear system
-    near                a Newton step below this, in local edge lengths, is well inside the region of quadratic
-                        convergence, and is taken even if rounding hides that the energy falls
-    halvings            of a longer step at most, until the energy falls
+    cg_iterations, first_cg_tolerance, near, halvings
+                        of Newton's method, see `optimising.newton.NewtonOptions`
     """
 
     smooth: SmoothOptions = field(default_factory=SmoothOptions)
     untangle: UntangleOptions | None = None
     size_weight: float = 0.5
-    newton_steps: int = 20
-    tolerance: float = 1e-9
-    cg_tolerance: float = 1e-10
-    cg_iterations: int = 5000
-    first_cg_tolerance: float = 0.01
-    near: float = 1e-4
-    halvings: int = 40
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.smooth.slides or self.smooth.targets is not None:
             raise ValueError(
                 "LayerOptions.smooth must have boundary='fixed' and no interfaces that slide, which have no derivative "
@@ -76,12 +59,6 @@ class LayerOptions:
             )
         if not 0 < self.size_weight < 1:
             raise ValueError(f"LayerOptions.size_weight must be between 0 and 1, not {self.size_weight}")
-        for name in ("newton_steps", "cg_iterations", "halvings"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"LayerOptions.{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("tolerance", "cg_tolerance", "first_cg_tolerance", "near"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"LayerOptions.{name} must be positive, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +111,7 @@ class _State:
     """
 
     points: Tensor
-    problem: "_Problem"
+    problem: NewtonProblem
     x: Tensor
     anchors: Tensor
     fixed: Tensor
@@ -234,7 +211,7 @@ def _minimise(
     """Newton's method from `start`, each valid mesh with its own step and stopping test."""
     valid = ~segment_any(~upright(start), start.triangle_offsets)
     packing = _packed(start, valid)
-    x, step = _newton(_Problem(start, packing, options, aims, coefficients), packing.unknowns, valid)
+    x, step = newton(_problem(start, packing, options, aims, coefficients), packing.unknowns, valid, options)
     points = packing.unpack(x, start.points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh stays where it started.
     flat = segment_any(~upright(start.with_points(points)), start.triangle_offsets) & valid
@@ -245,7 +222,7 @@ def _minimise(
         # Only meshes at a minimum have a derivative.
         at = _packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
         x = at.unknowns
-    problem = _Problem(start, at, options, aims, coefficients)
+    problem = _problem(start, at, options, aims, coefficients)
     state = _State(points, problem, x, _anchors(start, at), start.fixed)
     status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
     return state, LayerInfo(valid, converged, step, status, start.with_points(points))
@@ -258,99 +235,17 @@ def _packed(start: MeshBatch, which: Tensor, points: Tensor | None = None) -> Pa
     return pack(points, start.triangles, free, start.point_offsets, start.triangle_offsets)
 
 
-class _Problem:
-    """The energies of the meshes as functions of their unknowns.
-
-    rows  (B+1,) the unknowns of each mesh
-    """
-
-    def __init__(
-        self, start: MeshBatch, packing: Packing, options: LayerOptions, aims: Aims, coefficients: Tensor | None
-    ) -> None:
-        self.packing, self.options = packing, options
-        self.energy, self.target = aims.energy(options.smooth), equilateral()
-        if coefficients is not None:
-            unit = spread(packing.unit, packing.triangle_offsets)
-            self.target = Target(*(coefficients.detach()[:, packing.triangles] * unit * unit))
-        self.rows = packing.block_offsets * BLOCK
-        size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
-        self.size = torch.where(size > 0, size, 1.0)
-        cuts = chunk_offsets(packing.triangle_offsets.tolist())
-        self.chunks = chunks_of(packing.rows, self.energy, self.target, cuts)
-
-    def energies(self, x: Tensor) -> Tensor:
-        """(B,) the energy of each mesh; infinite if a triangle is inverted or flat."""
-        phi, _, det = energy_and_forces(torch.cat([x, self.packing.anchored]), self.chunks)
-        offsets = self.packing.triangle_offsets
-        return torch.where(segment_any(~(det > 0), offsets), torch.inf, segment_sum(phi, offsets))
-
-    def hessian(self, x: Tensor) -> Hessian:
-        coordinates, packing = torch.cat([x, self.packing.anchored]), self.packing
-        return Hessian.at(coordinates, packing.rows, self.energy, self.target, packing.triangle_offsets)
-
-    def largest_move(self, direction: Tensor) -> Tensor:
-        """(B,) how far the vertex that moves farthest goes, in local edge lengths."""
-        return segment_max((direction / self.size).abs(), self.rows, 0.0)
-
-
-def _newton(problem: _Problem, x: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """The unknowns at the minimum, and (B,) the largest move of each mesh's last step; infinite where CG failed."""
-    options, rows = problem.options, problem.rows
-    energy = problem.energies(x)
-    running = valid.clone()
-    step = torch.full_like(energy, torch.inf)
-    for _ in range(options.newton_steps):
-        hessian = problem.hessian(x)
-        descent = torch.where(spread(running, rows), -hessian.gradient()[: len(x)], 0.0)
-        # A linear system is solved no more exactly than the step is worth: convergence stays quadratic (Dembo,
-        # Eisenstat & Steihaug, Inexact Newton methods, SIAM Journal on Numerical Analysis 19, 1982).
-        enough = step.clamp(options.cg_tolerance, options.first_cg_tolerance)
-        newton = solve(hessian, descent, rows, tolerance=enough, max_iterations=options.cg_iterations)
-        move = problem.largest_move(newton.x)
-        near = running & newton.converged & (move < options.near)
-        # What is left to move after a step near the minimum: the rest of the linear system, and a square.
-        left = torch.where(near, move * (_LEFT * (enough + move)).clamp_max(1.0), move)
-        step = torch.where(running, torch.where(newton.converged, left, torch.inf), step)
-        x = torch.where(spread(near, rows), x + newton.x, x)
-        x, energy, accepted = _line_search(x, newton.x, descent, energy, running & ~near, rows, problem.energies,
-                                           options.halvings)  # fmt: skip
-        running = (near & (left >= options.tolerance)) | accepted
-        if not bool(running.any()):
-            break
-    return x, step
-
-
-def _line_search(
-    x: Tensor,
-    direction: Tensor,
-    descent: Tensor,
-    energy: Tensor,
-    running: Tensor,
-    rows: Tensor,
-    energies: Callable[[Tensor], Tensor],
-    halvings: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """One step along `direction` for the meshes `running` (B,), halved until each lowers its energy.
-
-    descent  minus the gradient at x
-
-    Returns x, the energies, and (B,) bool which meshes found such a step.
-    """
-    slope = segment_sum(direction * descent, rows)
-    scale = torch.ones_like(energy)
-    waiting = running & (slope > 0)
-    accepted = torch.zeros_like(running)
-    for _ in range(halvings):
-        if not bool(waiting.any()):
-            break
-        trial = torch.where(spread(waiting, rows), torch.addcmul(x, spread(scale, rows), direction), x)
-        there = energies(trial)
-        good = waiting & (there <= energy - _DECREASE * scale * slope)
-        x = torch.where(spread(good, rows), trial, x)
-        energy = torch.where(good, there, energy)
-        accepted, waiting = accepted | good, waiting & ~good
-        scale = torch.where(waiting, 0.5 * scale, scale)
-    return x, energy, accepted
+def _problem(
+    start: MeshBatch, packing: Packing, options: LayerOptions, aims: Aims, coefficients: Tensor | None
+) -> NewtonProblem:
+    """The energy that is minimised, over the packed meshes."""
+    target = equilateral()
+    if coefficients is not None:
+        unit = spread(packing.unit, packing.triangle_offsets)
+        target = Target(*(coefficients.detach()[:, packing.triangles] * unit * unit))
+    size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
+    rows = packing.block_offsets * BLOCK
+    return NewtonProblem(packing, aims.energy(options.smooth), target, torch.where(size > 0, size, 1.0), rows)
 
 
 def _anchors(mesh: MeshBatch, packing: Packing) -> Tensor:

@@ -1,7 +1,5 @@
 // Linear systems with the Hessians of meshes, by conjugate gradients, one mesh after the other or in threads.
-//
-// The products are those of torchmesh/optimising/hessian.py, the steps those of optimising/conjugate_gradients.py.
-#include "common.hpp"
+#include "hessian.hpp"
 
 namespace torchmesh {
 namespace {
@@ -30,20 +28,12 @@ struct Tile {
     double d[4][TILE], f[4][TILE], by_stretch[TILE], by_det[TILE];
 };
 
-// The triangles of one system; rows beyond its unknowns are those of a number that is zero.
-struct Triangles {
-    std::int64_t count;
-    std::vector<std::int32_t> rows;  // (6, count)
-    const double *edges[4], *slopes[2], *curvatures[3], *target[4];
-    std::int64_t stride[4];
-};
+TM_INLINE double at(const HessianTriangles& of, int k, std::int64_t t) { return of.target[k][of.stride[k] * t]; }
 
-TM_INLINE double at(const Triangles& of, int k, std::int64_t t) { return of.target[k][of.stride[k] * t]; }
-
-TM_INLINE void add_product(const Triangles& of, const double* TM_RESTRICT u, double* TM_RESTRICT out) {
+TM_INLINE void add_product(const HessianTriangles& of, const double* TM_RESTRICT u, double* TM_RESTRICT out) {
     Tile tile;
     const std::int32_t* row[6];
-    for (int k = 0; k < 6; ++k) row[k] = of.rows.data() + k * of.count;
+    for (int k = 0; k < 6; ++k) row[k] = of.rows[k];
     for (std::int64_t start = 0; start < of.count; start += TILE) {
         const int n = int(std::min<std::int64_t>(TILE, of.count - start));
         for (int i = 0; i < n; ++i) {
@@ -85,7 +75,9 @@ TM_INLINE void add_product(const Triangles& of, const double* TM_RESTRICT u, dou
     }
 }
 
-TM_DISPATCH void add_hessian_product(const Triangles& of, const double* u, double* out) { add_product(of, u, out); }
+TM_DISPATCH void add_hessian_product(const HessianTriangles& of, const double* u, double* out) {
+    add_product(of, u, out);
+}
 
 TM_INLINE double inner_product(std::int64_t n, const double* TM_RESTRICT u, const double* TM_RESTRICT v) {
     double sum[LANES] = {};
@@ -100,17 +92,20 @@ TM_INLINE double inner_product(std::int64_t n, const double* TM_RESTRICT u, cons
 
 TM_DISPATCH double dot(std::int64_t n, const double* u, const double* v) { return inner_product(n, u, v); }
 
-Triangles triangles_of(const SystemsArgument& all, std::int64_t system) {
+// The triangles of one system, with rows of its own: those beyond its unknowns are that of one more number.
+HessianTriangles triangles_of(const SystemsArgument& all, std::int64_t system, std::vector<std::int32_t>& rows) {
     const std::int64_t from = all.triangle_offsets[system], count = all.triangle_offsets[system + 1] - from;
     const std::int64_t first = all.offsets[system], n = all.offsets[system + 1] - first;
-    Triangles of;
+    HessianTriangles of;
     of.count = count;
-    of.rows.resize(std::size_t(6 * count));
-    for (int k = 0; k < 6; ++k)
+    rows.resize(std::size_t(6 * count));
+    for (int k = 0; k < 6; ++k) {
+        of.rows[k] = rows.data() + k * count;
         for (std::int64_t t = 0; t < count; ++t) {
             const std::int64_t row = all.rows[k * all.count + from + t] - first;
-            of.rows[k * count + t] = std::int32_t(row >= 0 && row < n ? row : n);
+            rows[k * count + t] = std::int32_t(row >= 0 && row < n ? row : n);
         }
+    }
     for (int k = 0; k < 4; ++k) {
         of.edges[k] = all.edges + k * all.count + from;
         of.stride[k] = all.target_stride[k];
@@ -123,47 +118,51 @@ Triangles triangles_of(const SystemsArgument& all, std::int64_t system) {
 
 void solve(const SystemsArgument& all, std::int64_t system) {
     const std::int64_t first = all.offsets[system], n = all.offsets[system + 1] - first;
-    const Triangles of = triangles_of(all, system);
-    double* x = all.x + first;
-    std::vector<double> residual(all.right + first, all.right + first + n), direction(n + 1, 0.0), image(n + 1),
-        inverse(static_cast<std::size_t>(n)), shorter(static_cast<std::size_t>(n));
+    std::vector<std::int32_t> rows;
+    const HessianTriangles of = triangles_of(all, system, rows);
+    const Solution found = solve_with_hessian(of, n, n + 1, all.diagonal + first, all.right + first,
+                                              all.tolerance[system], all.max_iterations, all.x + first);
+    all.iterations[system] = found.iterations;
+    all.converged[system] = found.converged;
+}
+
+}  // namespace
+
+Solution solve_with_hessian(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* diagonal,
+                            const double* right, double tolerance, std::int64_t max_iterations, double* x) {
+    const auto size = static_cast<std::size_t>(n), whole = static_cast<std::size_t>(length);
+    std::vector<double> residual(right, right + n), direction(whole, 0.0), image(whole), inverse(size), shorter(size);
     for (std::int64_t i = 0; i < n; ++i) {
         x[i] = 0;
-        const double d = all.diagonal[first + i];
+        const double d = std::abs(diagonal[i]);
         inverse[i] = d > 0 ? 1 / d : 0;
         direction[i] = residual[i] * inverse[i];
     }
     double power = dot(n, residual.data(), direction.data());
-    const double goal = power * all.tolerance[system] * all.tolerance[system];
-    bool running = power > 0;
-    all.converged[system] = !running;
-    all.iterations[system] = 0;
-    for (std::int64_t k = 0; running && k < all.max_iterations; ++k) {
+    const double goal = power * tolerance * tolerance;
+    Solution found{0, !(power > 0)};
+    while (!found.converged && found.iterations < max_iterations) {
         std::fill(image.begin(), image.end(), 0.0);
-        direction[n] = 0;
         add_hessian_product(of, direction.data(), image.data());
         const double curvature = dot(n, direction.data(), image.data());
         if (!(curvature > 0)) break;
-        const double length = power / curvature;
-        if (!(length > 0)) break;
+        const double step = power / curvature;
+        if (!(step > 0)) break;
         for (std::int64_t i = 0; i < n; ++i) {
-            x[i] += length * direction[i];
-            residual[i] -= length * image[i];
+            x[i] += step * direction[i];
+            residual[i] -= step * image[i];
             shorter[i] = residual[i] * inverse[i];
         }
         const double before = power;
         power = dot(n, residual.data(), shorter.data());
-        ++all.iterations[system];
-        if (power <= goal) {
-            all.converged[system] = 1;
-            break;
-        }
+        ++found.iterations;
+        found.converged = power <= goal;
         const double again = before > 0 ? power / before : 0;
         for (std::int64_t i = 0; i < n; ++i) direction[i] = shorter[i] + again * direction[i];
     }
+    return found;
 }
 
-}  // namespace
 }  // namespace torchmesh
 
 TM_EXPORT void tm_hessian_solve(const torchmesh::SystemsArgument* all, std::int64_t from, std::int64_t to,

@@ -3,6 +3,7 @@
 // The method is that of torchmesh/optimising/lbfgs.py and lbfgs_history.py, where it is explained; names are the same.
 // A problem's way depends on nothing outside the problem, so neither threads nor pauses change a bit.
 #include "energy.hpp"
+#include "own_rows.hpp"
 
 #include <memory>
 
@@ -170,36 +171,14 @@ class Problem {
   private:
     // Gives the triangles rows into this problem's own coordinates: its unknowns, then what it needs of the anchored.
     void set_coordinates(const ProblemsArgument& all, std::int64_t first) {
-        // The anchored coordinates of one mesh stand together, those of x and those of y.
-        const std::int64_t count = triangles_.count, size = all.unknowns;
-        std::int64_t low[2], high[2] = {0, 0};
-        low[0] = low[1] = std::numeric_limits<std::int64_t>::max();
-        rows_.resize(6 * count);
-        for (int k = 0; k < 6; ++k)
-            for (std::int64_t t = 0; t < count; ++t) {
-                const std::int64_t row = triangles_.rows[k][t] - size;
-                if (row < 0) continue;
-                low[k % 2] = std::min(low[k % 2], row);
-                high[k % 2] = std::max(high[k % 2], row + 1);
-            }
-        std::int64_t extra[2];
-        for (int axis = 0; axis < 2; ++axis) extra[axis] = std::max<std::int64_t>(0, high[axis] - low[axis]);
-        for (int k = 0; k < 6; ++k) {
-            const std::int64_t shift = n_ + (k % 2 ? extra[0] : 0) - (high[k % 2] ? low[k % 2] : 0);
-            for (std::int64_t t = 0; t < count; ++t) {
-                const std::int64_t row = triangles_.rows[k][t];
-                rows_[k * count + t] = std::int32_t(row < size ? row - first : row - size + shift);
-            }
-        }
-        for (int k = 0; k < 6; ++k) triangles_.rows[k] = rows_.data() + k * count;
-        const std::int64_t length = n_ + extra[0] + extra[1];
+        OwnRows own(triangles_.rows, triangles_.count, first, n_, all.unknowns);
+        rows_ = std::move(own.rows);
+        for (int k = 0; k < 6; ++k) triangles_.rows[k] = rows_.data() + k * triangles_.count;
+        const std::int64_t length = n_ + own.anchored();
         x_.resize(length);
         trial_.resize(length);
         raw_.resize(length);
-        std::int64_t at = n_;
-        for (int axis = 0; axis < 2; ++axis)
-            for (std::int64_t i = 0; i < extra[axis]; ++i, ++at)
-                x_[at] = trial_[at] = static_cast<const T*>(all.anchored)[low[axis] + i];
+        for (auto* to : {&x_, &trial_}) own.copy_anchored(static_cast<const T*>(all.anchored), to->data() + n_);
     }
 
     double evaluate(double* least) {

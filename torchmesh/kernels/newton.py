@@ -1,0 +1,79 @@
+"""Newton's method on the energies of meshes, compiled: the twin of `optimising.newton.newton`.
+
+Meshes take their steps in C++ (source/newton.cpp).  What a mesh comes to depends neither on the other meshes nor on
+threads.
+"""
+
+import ctypes
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .energies import PackedTriangles, TrianglesArgument, triangles_argument
+from .library import ADDRESS, DOUBLE, INT32, INT64, call, pointer, threads
+
+# A call of the library takes one step of about so many triangles, or more steps of fewer, so that Python sees
+# interrupts.
+_TRIANGLES = 20_000
+
+_NUMBERS = ("tolerance", "cg_tolerance", "first_cg_tolerance", "near", "decrease", "left")
+
+
+class _Problems(ctypes.Structure):
+    """`NewtonArgument` of source/newton.cpp."""
+
+    _fields_ = [
+        ("triangles", TrianglesArgument), ("anchored", ADDRESS), ("size", ADDRESS),
+        ("offsets", ADDRESS), ("triangle_offsets", ADDRESS), ("unknowns", INT64),
+        ("cg_iterations", INT64), ("halvings", INT64), *((name, DOUBLE) for name in _NUMBERS),
+        ("x", ADDRESS), ("energy", ADDRESS), ("step", ADDRESS), ("running", ADDRESS),
+    ]  # fmt: skip
+
+
+def newton_for_meshes(
+    triangles: PackedTriangles,
+    anchored: Tensor,
+    size: Tensor,
+    offsets: Tensor,
+    triangle_offsets: Tensor,
+    start: Tensor,
+    valid: Tensor,
+    settings: Mapping[str, Any],
+) -> tuple[Tensor, Tensor]:
+    """What `newton` gives: the unknowns (N,) float64, and (B,) how far each mesh is from there at most.
+
+    anchored, size             (F,) and (N,) float64
+    offsets, triangle_offsets  (B+1,) the unknowns and the triangles of each mesh
+    valid                      (B,) bool, the meshes that are to move
+    settings                   the fields of `optimising.newton.NewtonOptions`, `decrease` and `left`, by name
+    """
+    alive: list[object] = [anchored.contiguous(), size.contiguous(), offsets.contiguous()]
+    alive.append(triangle_offsets.contiguous())
+    x, running = start.clone(), valid.clone()
+    energy = torch.full((len(valid),), torch.nan, dtype=torch.float64)
+    step = torch.full_like(energy, torch.inf)
+    packed = triangles_argument(triangles, torch.float64, alive)
+    problems = _Problems(
+        packed, *(pointer(v) for v in alive[:4]), len(x),  # type: ignore[arg-type]
+        settings["cg_iterations"], settings["halvings"], *(settings[name] for name in _NUMBERS),
+        *(pointer(v) for v in (x, energy, step, running)),
+    )  # fmt: skip
+    for first, end, count in _portions(triangle_offsets.tolist()):
+        left = settings["newton_steps"]
+        steps = max(1, _TRIANGLES * left // max(1, count))
+        while left > 0 and bool(running[first:end].any()):
+            call("tm_newton", None, ctypes.byref(problems), INT64(first), INT64(end), INT64(min(steps, left)),
+                 INT32(threads()))  # fmt: skip
+            left -= steps
+    return x, step
+
+
+def _portions(ends: list[int]) -> Iterator[tuple[int, int, int]]:
+    """The first mesh, the one after the last, and the number of triangles of portions that are worked on together."""
+    start, meshes = 0, len(ends) - 1
+    for mesh in range(1, meshes + 1):
+        if mesh == meshes or ends[mesh] - ends[start] >= _TRIANGLES:
+            yield start, mesh, ends[mesh] - ends[start]
+            start = mesh
