@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from experiments.robustness.attack import cracks
+from torchmesh.diagnosing import diagnosis
 from torchmesh.diagnosing.diagnosis import ProblemKind, diagnose
 from torchmesh.improving.pipeline import improve
 from torchmesh.kernels import library
@@ -176,6 +177,27 @@ def test_batch_names_the_mesh():
     problems = diagnose(join([good, MeshBatch.from_arrays(points, triangles), good]))
     assert {p.mesh for p in problems} == {1}
     assert max(max(p.vertices) for p in problems) < len(points)
+
+
+@pytest.mark.parametrize("topology", ["keep", "flip"])
+def test_a_batch_is_told_what_its_meshes_are_told_alone_and_sound_ones_are_not_looked_at_alone(topology, monkeypatch):
+    """A crossing hides what lies wrongly in the same look; every fault is told all the same."""
+    points, triangles, index = grid(6)
+    tangled = points.copy()
+    tangled[index[3, 3]] += 0.3
+    crossed = tangled.copy()
+    crossed[[index[0, 1], index[0, 4]]] = crossed[[index[0, 4], index[0, 1]]]
+    inside_out = tangled * [-1.0, 1.0]
+    sound = MeshBatch.from_arrays(points, triangles)
+    meshes = [sound.with_points(torch.from_numpy(p)) for p in [tangled, inside_out, *[tangled] * 6, crossed, points]]
+    batch = join(meshes)
+    alone = [dataclasses.replace(p, mesh=b) for b, mesh in enumerate(meshes) for p in diagnose(mesh, topology)]
+    assert {p.mesh for p in alone} == {1, 8}
+    looks = []
+    one = diagnosis._of_one
+    monkeypatch.setattr(diagnosis, "_of_one", lambda mesh, *rest: looks.append(len(mesh)) or one(mesh, *rest))
+    assert diagnose(batch, topology) == alone
+    assert looks.count(1) == 2
 
 
 def test_twins_that_are_known_change_nothing(monkeypatch):

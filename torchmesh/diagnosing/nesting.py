@@ -33,6 +33,7 @@ def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
     turn = turns_left(walls.points, loops)
     inside = _fixed_inside(walls, edges, of_edge, faces, of_face, named)
     by_region = {int(keys[0]) // count: keys % count for keys in _runs(inside, inside // count)}
+    needed, faces_of = _triangles_needed(walls, edges, of_edge), np.bincount(walls.region)
     for region in np.flatnonzero(np.bincount(of_face)).tolist():
         rows = mine.get(region, [])
         if not rows:
@@ -44,27 +45,40 @@ def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
         if len(rows) > 1 or turn[rows[0]] <= 0 or region in by_region:
             mine_inside = by_region.get(region, inside[:0])
             found = list(_nesting(walls.points, [loops[i] for i in rows], turn[rows], mine_inside))
-        yield from found or _surface(walls, region, edges[of_edge == region])
+        if not found and faces_of[region] != needed[region]:
+            found = [_no_plane(walls, region, edges[of_edge == region], int(needed[region]))]
+        yield from found
 
 
-def _surface(walls: Walls, region: int, edges: np.ndarray) -> Iterator[Finding]:
-    """Is the region a part of the plane, where its loops are sound?
+def _triangles_needed(walls: Walls, edges: np.ndarray, of_edge: np.ndarray) -> np.ndarray:
+    """(R,) how many triangles each region has if it is a part of the plane and its loops are sound.
 
-    edges  (E, 2) its boundary but for stretches that lie on each other
+    edges, of_edge  (E, 2), (E,) the boundaries of the regions but for stretches that lie on each other, and the regions
 
     A plane mesh of these vertices with this boundary has, by Euler's formula, 2 I + E - 4 + 2 C triangles: I vertices
     are inside, E edges bound it, and its boundary has C components.  Whatever the triangles are, there are no others.
     """
-    of_region = walls.region == region
-    faces = walls.triangles[of_region]
-    doubled = (walls.own == region) & (walls.other == region) & ~walls.alone & (walls.kind == BOUNDARY)
-    bounds = np.concatenate([edges, walls.ends[doubled]])
-    inner = np.zeros(len(walls.points), bool)
-    inner[faces] = True
-    inner[bounds] = False
-    needed = 2 * int(inner.sum()) + int(walls.sides[region]) - 4 + 2 * _components(bounds)
-    if len(faces) == needed:
-        return
+    count, regions = len(walls.points), len(walls.sides)
+    doubled = _doubled(walls)
+    bounds = np.concatenate([edges + count * of_edge[:, None], (walls.ends + count * walls.own[:, None])[doubled]])
+    inside = distinct((walls.triangles + count * walls.region[:, None]).ravel())
+    inside = inside[~among(inside, bounds)]
+    components = np.bincount(_roots(bounds) // count, minlength=regions)
+    return 2 * np.bincount(inside // count, minlength=regions) + walls.sides - 4 + 2 * components
+
+
+def _doubled(walls: Walls) -> np.ndarray:
+    """(H,) bool, the half-edges of stretches of boundary that lie on each other."""
+    return (walls.own == walls.other) & ~walls.alone & (walls.kind == BOUNDARY)
+
+
+def _no_plane(walls: Walls, region: int, edges: np.ndarray, needed: int) -> Finding:
+    """What is wrong with a region whose loops are sound, and which has not the `needed` number of triangles.
+
+    edges  (E, 2) its boundary but for stretches that lie on each other
+    """
+    faces = walls.triangles[walls.region == region]
+    bounds = np.concatenate([edges, walls.ends[_doubled(walls) & (walls.own == region)]])
     v = _pinched(faces, bounds)
     if v is not None:
         place = position_of(walls.points[v])
@@ -77,11 +91,11 @@ def _surface(walls: Walls, region: int, edges: np.ndarray) -> Iterator[Finding]:
             handles = (len(faces) - needed) // 4
             text += f": it has {handles} handle{'s' * (handles > 1)}, as a torus has"
     text += f" (a plane mesh with these vertices and this boundary has {needed} triangles, not {len(faces)})"
-    yield Finding(ProblemKind.NOT_PLANE, text, (v,), place)
+    return Finding(ProblemKind.NOT_PLANE, text, (v,), place)
 
 
-def _components(edges: np.ndarray) -> int:
-    """The number of components of the graph with these edges (E, 2).
+def _roots(edges: np.ndarray) -> np.ndarray:
+    """(C,) the lowest vertex of each component of the graph with these edges (E, 2).
 
     Roots are hooked to the lowest root that an edge leads to, and trees are flattened, until nothing changes (Shiloach
     & Vishkin 1982, as in `connectivity.triangle_components`): small meshes need not wait for scipy.
@@ -96,7 +110,7 @@ def _components(edges: np.ndarray) -> int:
         while not np.array_equal(hooked[hooked], hooked):
             hooked = hooked[hooked]
         if np.array_equal(hooked, root):
-            return len(np.unique(root))
+            return names[distinct(root)]
         root = hooked
 
 

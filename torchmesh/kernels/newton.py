@@ -14,8 +14,8 @@ from torch import Tensor
 from .energies import PackedTriangles, TrianglesArgument, triangles_argument
 from .library import ADDRESS, DOUBLE, INT32, INT64, call, pointer, threads
 
-# A call of the library takes one step of about so many triangles, or more steps of fewer, so that Python sees
-# interrupts.
+# A call of the library takes all steps of meshes of about so many triangles together, and fewer of one that has more,
+# so that Python sees interrupts.
 _TRIANGLES = 20_000
 
 _NUMBERS = ("tolerance", "cg_tolerance", "first_cg_tolerance", "near", "decrease", "left")
