@@ -92,7 +92,7 @@ def with_names(form: str) -> meshio.Mesh:
         mesh = meshio.Mesh(points, cells, cell_data={"cell_tags": [np.zeros(len(cells[0][1]), int), np.full(2, -7)]})
         mesh.cell_tags, mesh.point_tags = {-7: ["wall"]}, {}
         return mesh
-    if form in ("abaqus", "unv"):
+    if form in ("abaqus", "unv", "cgns"):
         return meshio.Mesh(points, cells, cell_sets={"wall": [np.zeros(0, int), np.arange(2)]})
     if form == "exodus":
         return meshio.Mesh(points, cells[:1], point_sets={"wall": np.arange(3)})

@@ -26,6 +26,7 @@ INEXACT = {"nastran": 1e-9}
 
 # Which of the grid's content a format gives back; the table in the README says the same.
 HOLDS_POINT_DATA = {"vtm", "selafin", "vtkhdf", "vtu", "vtp", "vtk", "gmsh", "xdmf", "med", "ply", "tecplot"}
+HOLDS_POINT_DATA |= {"cgns"}
 HOLDS_REGIONS = {
     "vtm",
     "vtkhdf",
@@ -42,7 +43,7 @@ HOLDS_REGIONS = {
     "avsucd",
 }
 HOLDS_REGIONS |= {"unv", "freefem", "mfem", "triangle", "sms", "comsol"}
-HOLDS_LINES = {*HOLDS_REGIONS, "su2", "abaqus", "mdpa", "permas", "adcirc"} - {"avsucd"}
+HOLDS_LINES = {*HOLDS_REGIONS, "cgns", "su2", "abaqus", "mdpa", "permas", "adcirc"} - {"avsucd"}
 
 
 @pytest.mark.parametrize("form", ALL)
@@ -157,7 +158,7 @@ def broken(tmp_path: Path, case: str) -> Path:
         ("no extension", MeshIOError, "no extension"),
         ("nan", InvalidMeshError, "points row 7 .*finite"),
         ("off the plane", InvalidMeshError, "points row .* off the plane.*no map of a plane: it bends over at"),
-        ("eight nodes", InvalidMeshError, "no triangles: it has quad8 cells only"),
+        ("eight nodes", InvalidMeshError, "it has quad8 cells; of quads those of four nodes"),
         ("no cells", InvalidMeshError, "no triangles: it has line cells only"),
         ("tetrahedra", InvalidMeshError, "tetra cells; only planar"),
     ],

@@ -45,6 +45,7 @@ _MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "selafin": ("selafin", (".slf", ".sel", ".selafin")),
     "comsol": ("comsol", (".mphtxt",)),
     "unv": ("unv", (".unv",)),
+    "cgns": ("cgns", (".cgns",)),
 }
 
 
@@ -110,7 +111,6 @@ _HINTS = {
     **dict.fromkeys((".npy", ".npz", ".pt"), "arrays; make a mesh of them by MeshBatch.from_arrays"),
     **dict.fromkeys((".cas", ".neu", ".ccm", ".foam"), "a mesh of a flow solver; save it as .su2 or .vtu"),
     **dict.fromkeys((".jou", ".edp", ".py", ".m"), "a program; run it and save its mesh as .msh or .vtu"),
-    ".cgns": "not read; Gmsh reads it: save it as .msh",
     ".gmsh": "perhaps Gmsh's; give it the extension .msh",
 }  # fmt: skip
 

@@ -1,0 +1,181 @@
+"""CGNS files: changed in place, with boundary conditions by name; Gmsh and VTK read what is written."""
+
+import io
+import shutil
+
+import curved_meshes as cm
+import meshes
+import meshio
+import numpy as np
+import pytest
+
+import torchmesh as tm
+from torchmesh.files.documents import load
+from torchmesh.files.formats.cgns_tree import _node, new_tree
+from torchmesh.files.source import Source
+
+h5py = pytest.importorskip("h5py")
+
+ZONE = "Base/Zone"
+
+
+def square(path, *, mixed=False, fields=()):
+    """A square of four triangles and a quad beside it; the middle vertex lies outside.  Its wall is a condition."""
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [1.4, 0.5], [2, 0], [2, 1.0]])
+    cells = [("triangle", np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])), ("quad", np.array([[1, 5, 6, 2]]))]
+    cells.append(("line", np.array([[3, 0], [0, 1]])))
+    none = np.zeros(0, np.int64)
+    mesh = meshio.Mesh(points, cells, cell_sets={"wall": [none, none, np.array([0, 1])]})
+    mesh.point_data = {name: points[:, 0].copy() for name in fields}
+    path.write_bytes(new_tree(mesh, {"triangle": 5, "quad": 7, "line": 3}, {"wall": "BCWall"}))
+    if mixed:
+        with h5py.File(path, "r+", track_order=True) as file:
+            zone = file[ZONE]
+            nodes = [
+                n for kind, rows in cells[:2] for row in rows for n in ({"triangle": 5, "quad": 7}[kind], *row + 1)
+            ]
+            del zone["triangle-1"], zone["quad-2"]
+            section = _node(zone, "faces", "Elements_t", np.array([20, 0], np.int32))
+            _node(section, "ElementRange", "IndexRange_t", np.array([1, 5], np.int32))
+            _node(section, "ElementConnectivity", "DataArray_t", np.array(nodes, np.int64))
+    return path
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_only_the_moved_vertex_changes(tmp_path, mixed):
+    source = square(tmp_path / "a.cgns", mixed=mixed, fields=["T"])
+    improved, report = tm.improve(tm.read(source))
+    report.check()
+    tm.write(tmp_path / "b.cgns", improved, like=source, fields="interpolate")
+    was, now = {}, {}
+    for path, found in ((source, was), (tmp_path / "b.cgns", now)):
+        with h5py.File(path, "r") as file:
+            file.visititems(lambda n, o, found=found: found.update({n: o[()]}) if isinstance(o, h5py.Dataset) else None)
+    changed = {name for name in was if not np.array_equal(was[name], now[name])}
+    data = f"{ZONE}/GridCoordinates/Coordinate"
+    assert changed <= {f"{data}X/ data", f"{data}Y/ data", f"{ZONE}/FlowSolution/T/ data"} | {
+        name for name in was if "ElementConnectivity" in name
+    }
+    assert f"{data}X/ data" in changed
+    assert set(was) == set(now)
+    after = load(tmp_path / "b.cgns")
+    assert tm.quality(tm.read(tmp_path / "b.cgns")).inverted.tolist() == [0]
+    assert [b.type for b in after.mesh.cells] == ["triangle", "quad", "line"]
+    assert [len(rows) for rows in after.mesh.cell_sets["wall"]] == [0, 0, 2]
+    source = Source.open(source)
+    assert source.explained("the vertex 3 is beside quads row 0").endswith("(in the file: node 4; element 5)")
+
+
+def test_flips_change_the_nodes_of_their_triangles(tmp_path):
+    source = square(tmp_path / "a.cgns", mixed=True)
+    mesh = tm.read(source)
+    turned = mesh.triangles.clone()
+    turned[[0, 1]] = turned[[1, 0]]
+    other = tm.MeshBatch.from_arrays(mesh.points, turned, quads=mesh.quads)
+    tm.write(tmp_path / "b.cgns", other, like=source)
+    assert np.array_equal(tm.read(tmp_path / "b.cgns").triangles, turned)
+    assert np.array_equal(tm.read(tmp_path / "b.cgns").quads, mesh.quads)
+
+
+def test_six_nodes_are_mended(tmp_path):
+    points, six = cm.tangled_annulus()
+    (tmp_path / "a.cgns").write_bytes(new_tree(meshio.Mesh(points, [("triangle6", six)]), {"triangle6": 6}, {}))
+    improved, _ = tm.improve(tm.read(tmp_path / "a.cgns"))
+    tm.write(tmp_path / "b.cgns", improved, like=tmp_path / "a.cgns")
+    after = load(tmp_path / "b.cgns").mesh
+    assert (cm.jacobians(after.points, after.cells[0].data).min(1) > 0).all()
+    assert all((after.points[m] == points[cm.edges(six)[e]]).all() for e, m in cm.edges(after.cells[0].data).items()
+               if e in cm.boundary(six))  # fmt: skip
+
+
+def test_more_vertices_make_a_new_file_with_the_conditions_and_their_types(tmp_path):
+    source = square(tmp_path / "a.cgns")
+    improved, report = tm.improve(tm.read(source), tm.ImproveOptions(topology="full"))
+    tm.write(tmp_path / "b.cgns", improved, like=source, vertex_map=report.vertex_map)
+    with h5py.File(tmp_path / "b.cgns", "r") as file:
+        condition = file[f"{ZONE}/ZoneBC/wall"]
+        assert condition[" data"][()].tobytes() == b"BCWall"
+    assert len(load(tmp_path / "b.cgns").mesh.cell_sets["wall"][-1]) == 2
+
+
+def test_gmsh_and_vtk_read_what_is_written(tmp_path):
+    gmsh, vtk = pytest.importorskip("gmsh"), pytest.importorskip("vtk")
+    source = square(tmp_path / "a.cgns", fields=["T"])
+    shutil.copy(source, tmp_path / "b.cgns")
+    improved, _ = tm.improve(tm.read(source))
+    tm.write(tmp_path / "b.cgns", improved, like=source)
+    for name in ("a.cgns", "b.cgns"):
+        reader = vtk.vtkCGNSReader()
+        reader.SetFileName(str(tmp_path / name))
+        reader.UpdateInformation()
+        reader.EnableAllBases()
+        reader.EnableAllPointArrays()
+        reader.Update()
+        found = reader.GetOutput().NewIterator().GetCurrentDataObject()
+        assert (found.GetNumberOfPoints(), found.GetNumberOfCells()) == (7, 5)
+        assert found.GetPointData().HasArray("T")
+        gmsh.initialize(interruptible=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.open(str(tmp_path / name))
+            _, elements, _ = gmsh.model.mesh.getElements(2)
+            assert sum(map(len, elements)) == 5
+            assert "wall" in [gmsh.model.getPhysicalName(*group) for group in gmsh.model.getPhysicalGroups()]
+        finally:
+            gmsh.finalize()
+
+
+def test_zones_lie_side_by_side_and_are_regions(tmp_path):
+    points, triangles = meshes.grid_arrays(2, 2)
+    memory = io.BytesIO(new_tree(meshio.Mesh(points, [("triangle", triangles)]), {"triangle": 5}, {}))
+    with h5py.File(memory, "r+") as file:
+        file.copy(ZONE, "Base/Zone2")
+        file["Base/Zone2/GridCoordinates/CoordinateX/ data"][...] += 5
+    (tmp_path / "a.cgns").write_bytes(memory.getvalue())
+    document = load(tmp_path / "a.cgns")
+    assert set(document.mesh.cell_sets) == {"Zone", "Zone2"}
+    mesh = tm.read(tmp_path / "a.cgns")
+    assert len(mesh.points) == 2 * len(points)
+    moved = mesh.points.clone()
+    moved[-5] += 0.1
+    tm.write(tmp_path / "b.cgns", mesh.with_points(moved), like=tmp_path / "a.cgns")
+    assert np.array_equal(tm.read(tmp_path / "b.cgns").points, moved)
+
+
+def put(name, values):
+    """A change of a file: other data in a node of it."""
+
+    def change(file):
+        group = file[name]
+        del group[" data"]
+        group[" data"] = np.asarray(values)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (put(f"{ZONE}/ZoneType", np.frombuffer(b"Structured", np.int8)), "is structured"),
+        (put(f"{ZONE}/triangle-1", np.array([22, 0])), "polygons"),
+        (put(f"{ZONE}/triangle-1", np.array([17, 0])), "elements of type 17"),
+        (put(f"{ZONE}/triangle-1/ElementConnectivity", np.array([1, 2, 99])), "none of 1 to 7"),
+        (put(f"{ZONE}/triangle-1/ElementConnectivity", np.array([1, 2])), "no rows of 3"),
+        (put(f"{ZONE}/GridCoordinates/CoordinateX", np.zeros(3)), "says 7 vertices and has 3"),
+        (put(f"{ZONE}/ZoneBC/wall/PointList", np.array([0.5])), "no whole numbers"),
+        (lambda file: file.pop("Base"), "no zone"),
+        (lambda file: file[ZONE].pop("GridCoordinates"), "no CoordinateX"),
+    ],
+)
+def test_mistakes_are_named(tmp_path, change, what):
+    source = square(tmp_path / "a.cgns")
+    with h5py.File(source, "r+") as file:
+        change(file)
+    with pytest.raises(tm.MeshIOError, match=what):
+        tm.read(source)
+
+
+def test_the_old_form_is_told(tmp_path):
+    (tmp_path / "a.cgns").write_bytes(b"@(#)ADF Database Version A02011>" + bytes(200))
+    with pytest.raises(tm.MeshIOError, match="adf2hdf"):
+        tm.read(tmp_path / "a.cgns")

@@ -1,0 +1,326 @@
+"""CGNS files in HDF5 (.cgns): unstructured planar zones, changed in place.
+
+    Base                            each node is a group with attributes name, label, type, and a dataset " data"
+      Zone                          the numbers of vertices and cells
+        GridCoordinates             CoordinateX, CoordinateY, CoordinateZ
+        airfoil, fluid, ...         sections: a type, the range of numbers (ElementRange), nodes (ElementConnectivity)
+        ZoneBC                      boundary conditions: vertices or elements, by their numbers, and a family
+        FlowSolution                values at vertices or in cells
+      Family                        a name, perhaps of more than one condition
+
+Vertices and elements are numbered from 1 in each zone.  https://cgns.org/standard/SIDS/grid.html (SIDS, file mapping)
+"""
+
+import io
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from ..swelling import check_hdf5
+from .cgns_tree import Node, new_tree
+from .format import Document, Format, numbers_by_type
+
+# The numbers of element types: meshio's name, the number of nodes.  The order of nodes is meshio's.
+_KINDS = {2: ("vertex", 1), 3: ("line", 2), 4: ("line3", 3), 5: ("triangle", 3), 6: ("triangle6", 6), 7: ("quad", 4),
+          8: ("quad8", 8), 9: ("quad9", 9)}  # fmt: skip
+NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
+_MIXED, _POLYGONS, _POLYHEDRA = 20, 22, 23
+
+
+@dataclass(frozen=True)
+class Section:
+    """Elements of one type of a section.
+
+    kind    meshio's name of the type
+    nodes   (n, k) their nodes, as rows of the mesh
+    path    of the array of nodes
+    places  (n,) where the nodes of each begin there
+    number  (n,) the numbers of the elements
+    start   the first vertex of their zone
+    """
+
+    kind: str
+    nodes: np.ndarray
+    path: str
+    places: np.ndarray
+    number: np.ndarray
+    start: int
+
+
+@dataclass
+class CgnsFile:
+    """A file.
+
+    data      its bytes
+    sections  its elements
+    axes      for each zone the arrays of coordinates
+    fields    for each field at vertices the array of each zone
+    ends      the vertex behind the last one of each zone
+    types     the types of boundary conditions, by their names
+    """
+
+    data: bytes
+    sections: list[Section] = field(default_factory=list)
+    axes: list[list[str]] = field(default_factory=list)
+    fields: dict[str, list[str]] = field(default_factory=dict)
+    ends: list[int] = field(default_factory=list)
+    types: dict[str, str] = field(default_factory=dict)
+
+    def patched(self, before: meshio.Mesh, after: meshio.Mesh) -> bytes:
+        """The bytes with the points, cells and point data of `after`, which has the rows of `before`."""
+        import h5py
+
+        memory = io.BytesIO(self.data)
+        with h5py.File(memory, "r+") as file:
+            for zone, (start, end) in enumerate(zip([0, *self.ends], self.ends, strict=False)):
+                for axis, path in enumerate(self.axes[zone]):
+                    _put(file[path], before.points[start:end, axis], after.points[start:end, axis])
+                for name, paths in self.fields.items():
+                    if name in after.point_data:
+                        _put(file[paths[zone]], before.point_data[name][start:end], after.point_data[name][start:end])
+                    else:
+                        del file[paths[zone].rsplit("/", 1)[0]]
+            for section, old, new in zip(self.sections, before.cells, after.cells, strict=True):
+                changed = np.flatnonzero((old.data != new.data).any(1))
+                if len(changed):
+                    nodes = file[section.path][()]
+                    at = section.places[changed, None] + np.arange(new.data.shape[1])
+                    nodes[at] = new.data[changed] - section.start + 1
+                    file[section.path][...] = nodes
+        return memory.getvalue()
+
+
+def _put(dataset: Any, old: np.ndarray, new: np.ndarray) -> None:
+    """Puts numbers into a dataset where they differ from what was read."""
+    if not np.array_equal(old, new, equal_nan=True):
+        dataset[...] = np.asarray(new).astype(dataset.dtype).reshape(dataset.shape)
+
+
+@dataclass(frozen=True)
+class CgnsFormat(Format):
+    """Conditions, and sections of which there are several, are cell sets and point sets.
+
+    The `rest` of a document is a `CgnsFile`.
+    """
+
+    def read(self, path: Path) -> Document:
+        import h5py
+
+        with open(path, "rb") as stream:
+            if stream.read(32).find(b"ADF Database") >= 0:
+                raise ValueError("it is in ADF, the old form of CGNS; make HDF5 of it by adf2hdf of the CGNS tools")
+        check_hdf5(path)
+        with h5py.File(path, "r") as file:
+            return _Reader(CgnsFile(path.read_bytes()), Node(file)).document(self.name)
+
+    def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        # In memory first, because HDF5 crashes the process when a disk is full.
+        if like is not None and same_rows and set(mesh.point_data) <= set(like.mesh.point_data):
+            path.write_bytes(like.rest.patched(like.mesh, mesh))
+        else:
+            path.write_bytes(new_tree(mesh, NUMBERS, {} if like is None else like.rest.types))
+
+    def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
+        return [] if target is self and same_rows else [*document.skipped, *document.by_element]
+
+
+CGNS = CgnsFormat("cgns", (".cgns",), tuple(NUMBERS), cell_data="none", point_data="scalars", cell_sets=True,
+                  point_sets=True)  # fmt: skip
+
+
+class _Reader:
+    """What is found in the zones of a file."""
+
+    def __init__(self, file: CgnsFile, root: Node) -> None:
+        self.file = file
+        self.root = root
+        self.points: list[np.ndarray] = []
+        self.point_data: dict[str, list[np.ndarray]] = {}
+        self.groups: dict[str, list[np.ndarray]] = {}
+        self.vertices: dict[str, list[np.ndarray]] = {}
+        self.by_element: dict[str, None] = {}
+        self.skipped: dict[str, None] = {}
+
+    def document(self, name: str) -> Document:
+        bases = list(self.root.children("CGNSBase_t"))
+        zones = [(base, zone) for base in bases for zone in base.children("Zone_t")]
+        if not zones:
+            raise ValueError("it has no zone")
+        for base, zone in zones:
+            kept = len(self.file.sections)
+            self._read_zone(base, zone)
+            if len(zones) > 1:
+                faces = [s.number for s in self.file.sections[kept:] if s.kind not in ("line", "line3", "vertex")]
+                self._group(zone.name, kept, np.concatenate([np.zeros(0, np.int64), *faces]))
+        widths = {table.shape[1] for table in self.points}
+        if len(widths) > 1:
+            raise ValueError("its zones have two and three coordinates")
+        cells = [(s.kind, s.nodes) for s in self.file.sections]
+        mesh = meshio.Mesh(np.concatenate(self.points), cells)
+        for key, values in self.point_data.items():
+            if len(values) == len(zones):
+                mesh.point_data[key] = np.concatenate(values)
+            else:
+                self.skipped[f"{key!r}, which not all zones have"] = None
+        self.file.fields = {key: paths for key, paths in self.file.fields.items() if key in mesh.point_data}
+        mesh.cell_sets = {
+            key: [*rows, *[np.zeros(0, np.int64)] * (len(cells) - len(rows))] for key, rows in self.groups.items()
+        }
+        mesh.point_sets = {key: np.unique(np.concatenate(rows)) for key, rows in self.vertices.items()}
+        one = len(zones) == 1
+        return Document(
+            mesh, name, rest=self.file, by_element=tuple(self.by_element), skipped=tuple(self.skipped),
+            node_numbers=1 + np.arange(len(mesh.points)) if one else None,
+            cell_numbers=numbers_by_type(mesh, [s.number for s in self.file.sections]) if one else {},
+        )  # fmt: skip
+
+    def _read_zone(self, base: Node, zone: Node) -> None:
+        kind = next((node.text() for node in zone.children("ZoneType_t")), "Structured")
+        if kind != "Unstructured":
+            raise ValueError(f"its zone {zone.name!r} is structured; save it as an unstructured one, or as .vtu")
+        start = self.file.ends[-1] if self.file.ends else 0
+        count = int(zone.whole("the numbers of its zone").reshape(-1)[0])
+        grids = list(zone.children("GridCoordinates_t"))
+        for more in grids[1:]:
+            self.skipped[f"the coordinates {more.name!r}"] = None
+        arrays = {node.name: node for node in grids[0].children("DataArray_t")} if grids else {}
+        names = [f"Coordinate{axis}" for axis in "XYZ"]
+        names = names[: 3 if names[2] in arrays else 2]
+        if not set(names) <= set(arrays):
+            raise ValueError(f"its zone {zone.name!r} has no CoordinateX and CoordinateY")
+        table = [np.asarray(arrays[key].data()).reshape(-1) for key in names]
+        if any(len(column) != count for column in table):
+            raise ValueError(f"its zone {zone.name!r} says {count} vertices and has {len(table[0])}")
+        self.points.append(np.stack(table, 1))
+        self.file.axes.append([arrays[key].path for key in names])
+        self.file.ends.append(start + count)
+        first = len(self.file.sections)
+        sections = [
+            (int(next(node.children("IndexRange_t")).whole("a range").reshape(-1)[0]), node)
+            for node in zone.children("Elements_t")
+        ]
+        for begin, node in sorted(sections, key=lambda pair: pair[0]):
+            self.file.sections += _sections(node, begin, start, count)
+            if list(node.children("DataArray_t", "ParentElements")):
+                self.by_element[f"the parents of {node.name!r}"] = None
+        self._read_conditions(base, zone, first, start)
+        self._name_sections([(begin, node) for begin, node in sections], first)
+        self._read_fields(zone, count)
+
+    def _read_conditions(self, base: Node, zone: Node, first: int, start: int) -> None:
+        families = {node.name: node for node in base.children("Family_t")}
+        for holder in zone.children("ZoneBC_t"):
+            for node in holder.children("BC_t"):
+                family = next((child.text() for child in node.children("FamilyName_t")), "")
+                named = families[family].children("FamilyName_t") if family in families else iter(())
+                names = [child.name for child in named] or [family or node.name]
+                place = next((child.text() for child in node.children("GridLocation_t")), "Vertex")
+                numbers = _members(node)
+                for name in names:
+                    self.file.types[name] = node.text()
+                    if place == "Vertex" and not list(node.children("IndexRange_t", "ElementRange")):
+                        self.vertices.setdefault(name, []).append(start + numbers - 1)
+                    else:
+                        self._group(name, first, numbers)
+
+    def _name_sections(self, sections: list[tuple[int, Node]], first: int) -> None:
+        """Sections are groups by their names, unless conditions have their elements; a single one of faces is none."""
+        taken = [np.zeros(0, np.int64)]
+        for rows in self.groups.values():
+            taken += [s.number[r] for s, r in zip(self.file.sections[first:], rows[first:], strict=False)]
+        known = np.unique(np.concatenate(taken))
+        faces = {s.path for s in self.file.sections[first:] if s.kind not in ("line", "line3", "vertex")}
+        for _, node in sections:
+            own = [s for s in self.file.sections[first:] if s.path.startswith(f"{node.group.name}/")]
+            numbers = np.concatenate([np.zeros(0, np.int64), *(s.number for s in own)])
+            if not np.isin(numbers, known).any() and (len(faces) > 1 or not {s.path for s in own} & faces):
+                self._group(node.name, first, numbers)
+
+    def _group(self, name: str, first: int, numbers: np.ndarray) -> None:
+        """Adds elements of a zone, whose sections begin at `first`, to the cell set of this name."""
+        rows = self.groups.setdefault(name, [])
+        rows += [np.zeros(0, np.int64)] * (len(self.file.sections) - len(rows))
+        for k in range(first, len(self.file.sections)):
+            found = np.flatnonzero(np.isin(self.file.sections[k].number, numbers))
+            rows[k] = np.union1d(rows[k], found)
+
+    def _read_fields(self, zone: Node, count: int) -> None:
+        solutions = list(zone.children("FlowSolution_t"))
+        for node in solutions:
+            place = next((child.text() for child in node.children("GridLocation_t")), "Vertex")
+            for array in node.children("DataArray_t"):
+                name = array.name if len(solutions) == 1 else f"{node.name}/{array.name}"
+                values = np.asarray(array.data()).reshape(-1)
+                if place != "Vertex" or len(values) != count:
+                    self.by_element[f"{name!r} of cells"] = None
+                    continue
+                self.point_data.setdefault(name, []).append(values)
+                self.file.fields.setdefault(name, []).append(array.path)
+
+
+def _members(node: Node) -> np.ndarray:
+    """The numbers of the vertices or elements of a condition."""
+    for child in (*node.children("IndexRange_t"), *node.children("IndexArray_t")):
+        numbers = child.whole("a boundary condition").reshape(-1)
+        if child.name in ("PointRange", "ElementRange") and len(numbers) == 2:
+            low, high = int(numbers[0]), int(numbers[1])
+            if not 0 < low <= high < 1 << 40 or high - low > 1 << 30:
+                raise ValueError(f"its condition {node.name!r} has no range of numbers")
+            return np.arange(low, high + 1)
+        if child.name in ("PointList", "ElementList"):
+            return numbers
+    return np.zeros(0, np.int64)
+
+
+def _sections(node: Node, begin: int, start: int, count: int) -> Iterator[Section]:
+    """Runs of elements of one type.  Raises ValueError for other types, and nodes that are none of the zone's."""
+    number = int(node.whole("a type of elements").reshape(-1)[0])
+    if number in (_POLYGONS, _POLYHEDRA):
+        raise ValueError(
+            f"its section {node.name!r} has polygons (NGON_n); save it with triangles and quads, or as .vtu"
+        )
+    array = next(node.children("DataArray_t", "ElementConnectivity"), None)
+    if array is None:
+        raise ValueError(f"its section {node.name!r} has no nodes")
+    nodes = array.whole("nodes of elements").reshape(-1)
+    if number == _MIXED:
+        types, places = _mixed(nodes, node.name)
+    else:
+        _check_kind(number, node.name)
+        width = _KINDS[number][1]
+        if len(nodes) % width:
+            raise ValueError(f"its section {node.name!r} has {len(nodes)} nodes, which are no rows of {width}")
+        places = np.arange(0, len(nodes), width)
+        types = np.full(len(places), number)
+    ends = [0, *(1 + np.flatnonzero(np.diff(types))).tolist(), len(types)]
+    for low, high in itertools.pairwise(ends):
+        if low == high:
+            continue
+        kind, width = _KINDS[int(types[low])]
+        rows = nodes[places[low:high, None] + np.arange(width)]
+        if (rows < 1).any() or (rows > count).any():
+            raise ValueError(f"its section {node.name!r} has a vertex that is none of 1 to {count}")
+        yield Section(kind, rows - 1 + start, array.path, places[low:high], begin + np.arange(low, high), start)
+
+
+def _mixed(nodes: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The types of elements that stand in front of their nodes, and where these nodes begin."""
+    types, places, at, numbers = [], [], 0, nodes.tolist()
+    while at < len(numbers):
+        _check_kind(numbers[at], name)
+        types.append(numbers[at])
+        places.append(at + 1)
+        at += 1 + _KINDS[numbers[at]][1]
+    if at > len(numbers):
+        raise ValueError(f"its section {name!r} is cut short")
+    return np.array(types, np.int64), np.array(places, np.int64)
+
+
+def _check_kind(number: int, name: str) -> None:
+    if number not in _KINDS:
+        raise ValueError(f"its section {name!r} has elements of type {number}; only planar meshes can be improved")
