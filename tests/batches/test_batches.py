@@ -203,3 +203,19 @@ def test_a_planted_link_at_the_result_is_replaced(jobs, tmp_path):
     assert result.error is None
     assert not target.is_symlink()
     assert precious.read_text() == "mine"
+
+
+def test_heights_ride_where_a_job_says_so_and_meshes_of_quads_alone_are_done(tmp_path):
+    bed = meshes.jittered(5, 4)
+    space = np.column_stack([bed.points.numpy(), np.sin(3 * bed.points[:, 0].numpy())])
+    meshio.Mesh(space, [("triangle", bed.triangles.numpy())]).write(tmp_path / "bed.vtu")
+    points, _ = meshes.grid_arrays(2, 2)
+    quads = np.array([[3 * i + j, 3 * i + j + 3, 3 * i + j + 4, 3 * i + j + 1] for i in (0, 1) for j in (0, 1)])
+    points[4] += 0.1
+    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("quad", quads)]).write(tmp_path / "quads.vtu")
+    jobs = [replace(job(tmp_path, name), height="keep") for name in ("bed.vtu", "quads.vtu")]
+    results = list(improve_jobs(jobs, ImproveOptions(), 10**6))
+    assert [(r.error, r.valid) for r in results] == [(None, True)] * 2
+    after = meshio.read(results[0].output).points
+    assert (after[:, :2] != space[:, :2]).any()
+    assert np.array_equal(after[:, 2], space[:, 2])

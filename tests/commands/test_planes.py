@@ -88,3 +88,26 @@ def test_messages_tell_positions_in_space(call, folder):
     done = call("improve", "wall.vtu", "out.vtu")
     assert done.status == 1
     assert ", 7, " in done.err
+
+
+def test_every_command_that_writes_takes_the_choice_of_heights(call, folder):
+    """Heights that ride are those of the file, and those read from the surface are others where a vertex has moved."""
+    assert call("improve", "terrain.vtk", "flat.vtk", "--quiet").status == 0
+    for k, command in enumerate(
+        (
+            ("report", "terrain.vtk", "{out}", "page.html", "--no-stages"),
+            ("warp", "flat.vtk", "{out}", "--move", "hole:1:0.03,0"),
+            ("warp", "flat.vtk", "{out}", "--move", "hole:1:0.03,0", "--steps", "auto"),
+        )
+    ):
+        heights = {}
+        for choice in ("keep", "interpolate"):
+            out = f"{choice}-{k}.vtk"
+            done = call(*(word.format(out=out) for word in command), "--height", choice, "--quiet")
+            assert done.status == 0, done.err
+            heights[choice] = meshio.read(folder / out).points
+        given = meshio.read(folder / command[1]).points
+        moved = (heights["keep"][:, :2] != given[:, :2]).any(1)
+        assert moved.any()
+        assert np.array_equal(heights["keep"][:, 2], given[:, 2]), command
+        assert not np.array_equal(heights["interpolate"][moved, 2], given[moved, 2]), command

@@ -24,6 +24,7 @@ import torch
 
 from ..errors import MeshError, MeshIOError, MeshWarning
 from ..files.field_transfer import FieldChoice
+from ..files.surface import HeightChoice
 from ..files.time_series import Series, read_series
 from ..improving.options import ImproveOptions
 from ..mesh.batch import MeshBatch
@@ -44,6 +45,7 @@ class Job:
     size     bytes of the input, by which work is shared out; 0 where the size is not known
     strict   is the output an error, and not written, if it would not hold everything that is in the input
     regions  what tells the regions of the file, as for `read`
+    height   what becomes of the heights of a surface, as for `write`
     """
 
     name: str
@@ -53,6 +55,7 @@ class Job:
     size: int = 0
     strict: bool = False
     regions: str | None = None
+    height: HeightChoice = "interpolate"
 
 
 @dataclass
@@ -71,6 +74,11 @@ class _Opened:
     @property
     def vertices(self) -> int:
         return len(self.series.batch.points)
+
+    @property
+    def elements(self) -> int:
+        """The number of its triangles and quads."""
+        return len(self.series.batch.triangles) + len(self.series.batch.quads)
 
 
 def improve_jobs(
@@ -126,7 +134,9 @@ def _improve(waiting: list[_Opened], options: ImproveOptions, fields: FieldChoic
     """Improves the files as one batch.  If that raises, which no mesh should cause, each file is improved alone."""
     started = time.perf_counter()
     try:
-        improved = improve_series([opened.series for opened in waiting], options, fields=fields)
+        improved = improve_series(
+            [opened.series for opened in waiting], options, fields=fields, height=waiting[0].job.height
+        )
     except Exception as error:
         if len(waiting) == 1:
             spent = waiting[0].seconds + time.perf_counter() - started
@@ -136,9 +146,9 @@ def _improve(waiting: list[_Opened], options: ImproveOptions, fields: FieldChoic
             yield from _improve([opened], options, fields)
         return
     seconds = time.perf_counter() - started
-    total = sum(len(opened.series.batch.triangles) for opened in waiting)
+    total = sum(opened.elements for opened in waiting)
     for opened, one in zip(waiting, improved, strict=True):
-        opened.seconds += seconds * len(opened.series.batch.triangles) / total
+        opened.seconds += seconds * opened.elements / total
         yield _write(opened, one)
 
 
@@ -211,8 +221,8 @@ def _refuse_ways_out(target: Path, out: Path) -> None:
 
 
 def _quality_facts(stage: str, q: Quality, meshes: list[MeshBatch], rows: slice) -> dict:
-    """Fields of a `FileResult` from the quality of a file's meshes; the average is over all their triangles."""
-    weights = torch.tensor([len(mesh.triangles) for mesh in meshes], dtype=torch.float64)
+    """Fields of a `FileResult` from the quality of a file's meshes; the average is over all their elements."""
+    weights = torch.tensor([len(mesh.triangles) + len(mesh.quads) for mesh in meshes], dtype=torch.float64)
     average = q.mean[rows].double() @ (weights / weights.sum()) if len(meshes) > 1 else q.mean[rows.start]
     return {
         f"inverted_{stage}": int(q.inverted[rows].sum()),

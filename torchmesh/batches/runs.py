@@ -23,6 +23,7 @@ from typing import Any, Literal
 
 from ..errors import MeshIOError, MeshWarning, MissingDependencyError
 from ..files.field_transfer import FieldChoice, check_choice
+from ..files.surface import HeightChoice, check_height
 from ..improving.options import ImproveOptions
 from . import manifest
 from .batches import Job, fingerprint
@@ -52,6 +53,7 @@ def improve_files(
     strict: bool = False,
     fields: FieldChoice = "interpolate",
     regions: str | None = None,
+    height: HeightChoice = "interpolate",
 ) -> Iterator[FileResult]:
     """Improves mesh files into the folder `out`.  The work is done while you iterate over the results.
 
@@ -68,6 +70,7 @@ def improve_files(
     strict   a file that would not hold everything that is in its input is an error, and is not written
     fields   what becomes of the fields of the files, as for `write`
     regions  what tells the regions of the files, as for `read`
+    height   what becomes of the heights of surfaces, as for `write`
 
     Every file is written whole or not at all, and the manifest after it.  The process, its workers or the machine may
     therefore be killed at any time, and the same call continues.  A result of an earlier run has `resumed` set; errors
@@ -77,7 +80,9 @@ def improve_files(
     when another run writes to `out`, or when `out` cannot be written; ValueError for a bad argument;
     MissingDependencyError for engine "ray" without Ray.  What is wrong with a single file is in its result.
     """
-    return Run.plan(paths, out, options, engine, workers, budget, suffix, redo, strict, fields, regions).results()
+    return Run.plan(
+        paths, out, options, engine, workers, budget, suffix, redo, strict, fields, regions, height
+    ).results()
 
 
 @dataclass(frozen=True)
@@ -90,6 +95,7 @@ class Run:
     changed   why results of earlier runs do not hold, and how many for each reason
     fields    what becomes of the fields of the files
     regions   what tells the regions of the files
+    height    what becomes of the heights of surfaces
     skipped   files in the folders given that are no mesh files
     """
 
@@ -104,6 +110,7 @@ class Run:
     changed: dict[str, int] = field(default_factory=dict)
     fields: FieldChoice = "interpolate"
     regions: str | None = None
+    height: HeightChoice = "interpolate"
     skipped: list[str] = field(default_factory=list)
 
     @classmethod
@@ -120,17 +127,22 @@ class Run:
         strict: bool = False,
         fields: FieldChoice = "interpolate",
         regions: str | None = None,
+        height: HeightChoice = "interpolate",
     ) -> "Run":
         """Finds the files and compares them with the manifest; arguments and errors are those of `improve_files`."""
         options, out = options or ImproveOptions(), Path(out)
         _check_arguments(options, engine, workers, budget)
         check_choice(fields)
+        check_height(height)
         paths = paths if isinstance(paths, str | os.PathLike) else list(paths)
-        jobs = [dataclasses.replace(job, strict=strict, regions=regions) for job in find_jobs(paths, out, suffix)]
+        jobs = [
+            dataclasses.replace(job, strict=strict, regions=regions, height=height)
+            for job in find_jobs(paths, out, suffix)
+        ]
         if out.exists() and not out.is_dir():
             raise MeshIOError(f"{out}: is not a folder")
         known = {} if redo else manifest.load(out)
-        label = settings(options, fields, regions) + ", strict" * strict
+        label = settings(options, fields, regions, height) + ", strict" * strict
         kept, left, changed = [], [], dict[str, int]()
         for job in jobs:
             result = known.get(job.name)
@@ -154,6 +166,7 @@ class Run:
             changed,
             fields,
             regions,
+            height,
             skipped_files(paths, out),
         )
 
@@ -175,7 +188,7 @@ class Run:
 
     def _made(self) -> Generator[FileResult, None, None]:
         """The results of the jobs, as workers finish them."""
-        label = settings(self.options, self.fields, self.regions) + ", strict" * self.strict
+        label = settings(self.options, self.fields, self.regions, self.height) + ", strict" * self.strict
         with contextlib.ExitStack() as stack:
             kind: type[LocalWorker] | type[RayWorker] = LocalWorker
             count = self.workers or processors()
@@ -210,7 +223,12 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def settings(options: ImproveOptions, fields: FieldChoice = "interpolate", regions: str | None = None) -> str:
+def settings(
+    options: ImproveOptions,
+    fields: FieldChoice = "interpolate",
+    regions: str | None = None,
+    height: HeightChoice = "interpolate",
+) -> str:
     """The version and those options that differ from the default, in words.
 
     Two runs with the same text give the same results.
@@ -218,6 +236,7 @@ def settings(options: ImproveOptions, fields: FieldChoice = "interpolate", regio
     from importlib.metadata import version
 
     beside = [*_changes(fields, "interpolate", "fields"), *_changes(regions, None, "regions")]
+    beside += _changes(height, "interpolate", "height")
     changes = ", ".join([*_changes(options, ImproveOptions()), *beside])
     return f"torchmesh {version('torchmesh-untangle')}" + (f", {changes}" if changes else "")
 

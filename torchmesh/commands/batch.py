@@ -20,6 +20,8 @@ from .shared_options import (
     BoundaryOption,
     Fields,
     FieldsOption,
+    Height,
+    HeightOption,
     InterfacesOption,
     Method,
     MethodOption,
@@ -96,6 +98,7 @@ def batch(
     quads: QuadsOption = Quads.keep,
     regions: RegionsOption = None,
     fields: FieldsOption = Fields.interpolate,
+    height: HeightOption = Height.interpolate,
     suffix: Annotated[
         str | None,
         typer.Option("--format", metavar="EXT", help="Extension of the results, as vtu.", show_default=False),
@@ -124,8 +127,9 @@ def batch(
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes, quads)
     try:
         run = Run.plan(
-            sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value, regions
-        )
+            sources, out, options, engine.value, workers, budget or BUDGET, suffix, redo, strict, fields.value, regions,
+            height.value,
+        )  # fmt: skip
     except ValueError as error:
         raise UsageError(str(error)) from None
     if run.skipped and not quiet:

@@ -12,6 +12,7 @@ from .shared_options import use_threads
 
 if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
+    from ..files.surface import HeightChoice
     from ..files.time_series import Series
     from ..improving.options import ImproveOptions
     from ..improving.report import Report
@@ -52,13 +53,15 @@ def observe(given: "Series", options: "ImproveOptions", quiet: bool) -> Observed
     return Observed(stages, improved)
 
 
-def improve_all(given: "Series", options: "ImproveOptions", quiet: bool) -> "ImprovedFile":
-    """Improves all meshes of a file as `torchmesh improve` does."""
+def improve_all(
+    given: "Series", options: "ImproveOptions", quiet: bool, height: "HeightChoice" = "interpolate"
+) -> "ImprovedFile":
+    """Improves all meshes of a file as `torchmesh improve` does; `height` as for `write`."""
     from ..batches.file_improvement import improve_series
 
     use_threads(1)
     with console.progress(quiet) as show:
-        return improve_series([given], options, progress=show)[0]
+        return improve_series([given], options, height=height, progress=show)[0]
 
 
 def step_to_show(given: "Series", step: int | None) -> int:

@@ -17,6 +17,8 @@ from .shared_options import (
     BetaOption,
     Boundary,
     BoundaryOption,
+    Height,
+    HeightOption,
     InterfacesOption,
     Method,
     MethodOption,
@@ -75,6 +77,7 @@ def report(
     quads: QuadsOption = Quads.keep,
     beta: BetaOption = None,
     regions: RegionsOption = None,
+    height: HeightOption = Height.interpolate,
     step: StepOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -103,7 +106,7 @@ def report(
     if not target.exists():
         check_mesh_target(target)
         check_steps(target, len(given))
-        improved = improve_all(given, options, quiet)
+        improved = improve_all(given, options, quiet, height.value)
         improved.write(target)
         after = replace(given, batch=join(improved.meshes))
     else:

@@ -225,7 +225,7 @@ HeightOption = Annotated[
     Height,
     typer.Option(
         help="For terrain and other surfaces, whose z is a field of x and y: where a vertex moves, z is read from the "
-        "surface of IN there (interpolate), or rides with the vertex (keep)."
+        "surface of the input there (interpolate), or rides with the vertex (keep)."
     ),
 ]
 

@@ -15,6 +15,8 @@ from . import console
 from .errors import UsageError
 from .motion_options import Follower, Motion
 from .shared_options import (
+    Height,
+    HeightOption,
     InArgument,
     InPlaceOption,
     QuietOption,
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from ..files.parts import Part as FilePart
+    from ..files.surface import HeightChoice
     from ..files.time_series import Series, SeriesDraft
     from ..mesh.batch import MeshBatch
 
@@ -113,6 +116,7 @@ def warp(
     steps: StepsOption = None,
     rigid: RigidOption = None,
     regions: RegionsOption = None,
+    height: HeightOption = Height.interpolate,
     strict: StrictOption = False,
     in_place: InPlaceOption = False,
     threads: ThreadsOption = 1,
@@ -159,8 +163,8 @@ def warp(
     goals = [motion.apply(of_mesh) for of_mesh in given.first_sources()]
     boundary, hold = (torch.cat(parts) for parts in zip(*goals, strict=True))
     if steps is not None:
-        return _deform(given, boundary, hold, steps, target, strict, quiet, followers)
-    return _warp(given, boundary, hold, improve_too, target, strict, quiet)
+        return _deform(given, boundary, hold, steps, target, height.value, strict, quiet, followers)
+    return _warp(given, boundary, hold, improve_too, target, height.value, strict, quiet)
 
 
 def _list(path: Path, regions: str | None) -> int:
@@ -203,6 +207,7 @@ def _warp(
     hold: "Tensor",
     improve_too: bool,
     target: Path,
+    height: "HeightChoice",
     strict: bool,
     quiet: bool,
 ) -> int:
@@ -225,10 +230,10 @@ def _warp(
         "warped": console.record(warped, after, curved),
     }
     if not improve_too:
-        _save(draft_series(target, warped, given, placed=placed), strict)
+        _save(draft_series(target, warped, given, height=height, placed=placed), strict)
     else:
         with console.progress(quiet) as show:
-            (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), progress=show)
+            (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), height=height, progress=show)
         after = improved.report.quality
         curved = improved.curved
         columns["improved"] = console.record(join(improved.meshes), after, curved)
@@ -249,6 +254,7 @@ def _deform(
     hold: "Tensor",
     steps: str,
     target: Path,
+    height: "HeightChoice",
     strict: bool,
     quiet: bool,
     followers: list[Follower],
@@ -271,7 +277,7 @@ def _deform(
         after, report = deform(mesh, boundary, count, progress=show, rigid=rigid, hold=hold)
     meshes, placed = with_nodes(given, _with_given_nodes(given, after, boundary, report.status).split(), None)
     after, curved = join(meshes), curved_summary(meshes, placed)
-    _save(draft_series(target, after, given, placed=placed), strict)
+    _save(draft_series(target, after, given, height=height, placed=placed), strict)
     if not quiet:
         columns = {
             "undeformed": console.record(mesh, quality(mesh), curved_counts(given)),

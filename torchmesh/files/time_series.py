@@ -141,6 +141,7 @@ def write_series(
     *,
     fields: FieldChoice = "carry",
     before: MeshBatch | None = None,
+    height: HeightChoice = "interpolate",
 ) -> FieldSummary:
     """Writes the steps of `like` with the vertices and triangles of `batch`, whole or not at all.
 
@@ -149,13 +150,14 @@ def write_series(
                  point data is interpolated at inserted vertices; without them, point data is dropped there
     fields       as for `write`
     before       the meshes that have the values for "interpolate", as many as `like.batch` has; None: `like.batch`
+    height       as for `write`
 
     Returns what became of the fields, which is nothing under "carry".
 
     A series of several steps is written as .xdmf, with its data as text in the one file, or as .pvd, with a numbered
     file beside it for each step, in the format that this had; a single step in any format.  Raises as `write` does.
     """
-    made = draft_series(path, batch, like, vertex_maps, fields=fields, before=before)
+    made = draft_series(path, batch, like, vertex_maps, fields=fields, before=before, height=height)
     made.tell()
     made.save()
     return made.fields
