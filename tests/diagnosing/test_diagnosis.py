@@ -195,7 +195,7 @@ def test_a_batch_is_told_what_its_meshes_are_told_alone_and_sound_ones_are_not_l
     assert {p.mesh for p in alone} == {1, 8}
     looks = []
     one = diagnosis._of_one
-    monkeypatch.setattr(diagnosis, "_of_one", lambda mesh, *rest: looks.append(len(mesh)) or one(mesh, *rest))
+    monkeypatch.setattr(diagnosis, "_of_one", lambda mesh, keep, most: looks.append(len(mesh)) or one(mesh, keep, most))
     assert diagnose(batch, topology) == alone
     assert looks.count(1) == 2
 

@@ -125,7 +125,7 @@ def test_neither_threads_nor_pauses_nor_company_nor_a_watcher_change_a_bit(monke
     batch = valid_batch()
     made, start = objective(batch, InverseMeanRatio(ceiling=1.5))
     whole = minimise(made, start)
-    monkeypatch.setattr(minimiser, "_WORK", 1)
+    monkeypatch.setattr(minimiser, "WORK", 1)
     monkeypatch.setattr(minimiser, "threads", lambda: 3)
     paused = minimise(made, start)
     watched = minimise(made, start, None, lambda step, energies: None)

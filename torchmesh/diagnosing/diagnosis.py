@@ -4,8 +4,9 @@ With the triangles kept: can any positions of the free vertices make them valid?
 """
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -68,7 +69,7 @@ def diagnose(
     keep = topology == "keep"
     problems = []
     for b in range(len(batch)) if len(batch.quads) else _suspects(batch, keep, most):
-        mesh = batch.select(torch.arange(len(batch), device=batch.points.device) == b)
+        mesh = _only(batch, torch.tensor([b], device=batch.points.device))
         told: dict[ProblemKind, int] = {}
         for kind, text, vertices, place in _with_quads(_of_one(mesh, keep, most), mesh, most):
             told[kind] = told.get(kind, 0) + 1
@@ -78,28 +79,49 @@ def diagnose(
 
 
 def _suspects(batch: MeshBatch, keep: bool, most: int) -> list[int]:
-    """The meshes that are to be looked at alone, in order; nothing is wrong with the others.
+    """The meshes that are to be looked at alone, in order; nothing is wrong with the others."""
+    all_of = most * len(batch)
+    suspects = _sieved(batch, partial(_at_first_sight, keep=keep, most=all_of))
+    # Boundaries that touch themselves come this far, and are no problem as such.
+    part = _only(batch, torch.tensor(suspects, dtype=torch.int64, device=batch.points.device))
+    return [suspects[i] for i in _sieved(part, partial(_of_one, keep=keep, most=all_of))]
 
-    All meshes are looked at together, as pieces of one.  What is found in one may hide what is wrong with another, so
+
+def _sieved(batch: MeshBatch, look: Callable[[MeshBatch], list[Finding]]) -> list[int]:
+    """The meshes in which `look` might find something, in order.
+
+    It looks at all of them together, as pieces of one.  What is found in one may hide what is wrong with another, so
     the others are looked at again, together, until nothing is found.
     """
-    if len(batch) == 1:
-        return [0]
-    suspects: set[int] = set()
-    left = torch.ones(len(batch), dtype=torch.bool, device=batch.points.device)
+    suspects: list[int] = []
+    left = torch.arange(len(batch), device=batch.points.device)
     for _ in range(_LOOKS):
-        part = batch if not suspects else batch.select(left)
-        found = _of_one(part, keep, most * len(part))
-        if not found:
-            return sorted(suspects)
-        vertices = torch.tensor([v for finding in found for v in finding.vertices], device=left.device)
-        here = torch.searchsorted(part.point_offsets, vertices, right=True) - 1
-        numbers = left.nonzero().squeeze(1)[here.unique()]
-        suspects |= set(numbers.tolist())
-        left[numbers] = False
-        if not bool(left.any()):
+        if len(left) < 2:
             break
-    return sorted(suspects | set(left.nonzero().squeeze(1).tolist()))
+        part = _only(batch, left)
+        found = look(part)
+        if not found:
+            left = left[:0]
+            break
+        vertices = torch.tensor([v for finding in found for v in finding.vertices], device=left.device)
+        guilty = torch.zeros(len(left), dtype=torch.bool, device=left.device)
+        guilty[torch.searchsorted(part.point_offsets, vertices, right=True) - 1] = True
+        suspects += left[guilty].tolist()
+        left = left[~guilty]
+    return sorted(suspects + left.tolist())
+
+
+def _only(batch: MeshBatch, meshes: Tensor) -> MeshBatch:
+    """The `meshes` (K,) of the batch, in its order."""
+    if len(meshes) == len(batch):
+        return batch
+    return batch.select(torch.zeros(len(batch), dtype=torch.bool, device=meshes.device).index_fill_(0, meshes, True))
+
+
+def _at_first_sight(mesh: MeshBatch, keep: bool, most: int) -> list[Finding]:
+    """Whether something may be wrong with one mesh, by what is found first."""
+    walls = Walls.of(mesh, keep)
+    return [] if walls is None else _meetings(walls, keep, most) or list(nestings(walls, keep))
 
 
 def _with_quads(found: list[Finding], mesh: MeshBatch, most: int) -> list[Finding]:

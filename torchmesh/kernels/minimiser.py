@@ -17,11 +17,11 @@ from .library import ADDRESS, DOUBLE, INT32, INT64, call, pointer, threads
 
 # A call of the library comes back after so many visits of triangles, a fraction of a second, so that Python sees
 # interrupts.
-_WORK = 20_000_000
+WORK = 20_000_000
 
 
-class _Options(ctypes.Structure):
-    """`OptionsArgument` of source/minimise.cpp."""
+class OptionsArgument(ctypes.Structure):
+    """`OptionsArgument` of source/minimise.hpp."""
 
     _fields_ = [
         ("max_iterations", INT64), ("patience", INT64), ("history", INT64),
@@ -32,8 +32,8 @@ class _Options(ctypes.Structure):
     ]  # fmt: skip
 
 
-class _Problems(ctypes.Structure):
-    """`ProblemsArgument` of source/minimise.cpp."""
+class ProblemsArgument(ctypes.Structure):
+    """`ProblemsArgument` of source/minimise.hpp."""
 
     _fields_ = [
         ("triangles", TrianglesArgument), ("start", ADDRESS), ("anchored", ADDRESS), ("scale", ADDRESS),
@@ -52,6 +52,22 @@ _STATUSES = (
     Status.RUNNING, Status.CONVERGED, Status.SETTLED, Status.ITERATION_LIMIT, Status.STALLED, Status.VALID,
     Status.NOT_FINITE,
 )  # fmt: skip
+
+
+def options_argument(settings: Mapping[str, Any], enough: float | None = None) -> OptionsArgument:
+    """The structure of the fields of `optimising.lbfgs_options.LbfgsOptions`, by name."""
+    return OptionsArgument(
+        settings["max_iterations"], settings["patience"], settings["history"],
+        *(settings[name] for name in _NUMBERS), *settings["shortening"],
+        settings["blind_shortening"], settings["shortest_step"], enough or 0.0, enough is not None,
+        (INT64 * 7)(*(int(s) for s in _STATUSES)),
+    )  # fmt: skip
+
+
+def outcome_columns(meshes: int) -> tuple[Tensor, ...]:
+    """The fields of `optimising.lbfgs_options.LbfgsResult` after the unknowns, all zero."""
+    numbers, counts = torch.zeros((2, meshes), dtype=torch.float64), torch.zeros((3, meshes), dtype=torch.int64)
+    return *numbers, *counts
 
 
 def minimise_meshes(
@@ -80,20 +96,14 @@ def minimise_meshes(
     # What the addresses point to must live as long as the run.
     alive: list[object] = [start, anchored, scale, block_offsets, triangle_offsets]
     meshes = len(block_offsets) - 1
-    numbers, counts = torch.zeros((2, meshes), dtype=torch.float64), torch.zeros((3, meshes), dtype=torch.int64)
-    outcome = torch.empty_like(start), *numbers, *counts
-    problems = _Problems(
+    outcome = torch.empty_like(start), *outcome_columns(meshes)
+    problems = ProblemsArgument(
         triangles_argument(triangles, start.dtype, alive),
         *(pointer(v) for v in (start, anchored, scale, block_offsets, triangle_offsets)),
         meshes, width, len(start),
         *(pointer(v) for v in outcome),
     )  # fmt: skip
-    options = _Options(
-        settings["max_iterations"], settings["patience"], settings["history"],
-        *(settings[name] for name in _NUMBERS), *settings["shortening"],
-        settings["blind_shortening"], settings["shortest_step"], enough or 0.0, enough is not None,
-        (INT64 * 7)(*(int(s) for s in _STATUSES)),
-    )  # fmt: skip
+    options = options_argument(settings, enough)
     run = call("tm_minimise_start", ADDRESS, ctypes.byref(problems), ctypes.byref(options),
                 INT32(start.dtype == torch.float32))  # fmt: skip
     try:
@@ -109,7 +119,7 @@ def _advance(run: int, most: int, meshes: int, monitor: Callable[[int, Tensor], 
     running, step = meshes, 0
     while running:
         up_to = most + 1 if monitor is None else step
-        work = _WORK if monitor is None else 2**62
+        work = WORK if monitor is None else 2**62
         running = call("tm_minimise_advance", INT64, ADDRESS(run), INT64(up_to), INT64(work),
                         INT32(threads()), ADDRESS(pointer(energies)))  # fmt: skip
         if monitor is not None and energies is not None:

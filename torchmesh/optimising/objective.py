@@ -14,6 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..kernels.continuation import LARGEST as LARGEST_TURN
+from ..kernels.continuation import CompiledTurns
 from ..kernels.energies import PackedTriangles, energies
 from ..kernels.library import library_for
 from ..kernels.minimiser import minimise_meshes
@@ -265,6 +267,21 @@ class MeshObjective:
         return minimise_meshes(
             packed, anchored, scale, *offsets, width, start.contiguous(), vars(options), self.enough, monitor
         )
+
+    def turns(self, x: Tensor, options: LbfgsOptions) -> CompiledTurns | None:
+        """The compiled minimiser of some of the meshes, again and again, with an epsilon of each; x (N,) changes.
+
+        None where torch is to do its work.
+        """
+        packed = self.compiled
+        if packed is None or packed.edges is not None or packed.map is not None or x.dtype != torch.float64:
+            return None
+        counts = counts_from_offsets(self.triangle_offsets)
+        if bool((counts > LARGEST_TURN).any()):
+            return None
+        given = self.anchored.contiguous(), self.scale.contiguous(), self.block_offsets.contiguous()
+        offsets, width = self.triangle_offsets.contiguous(), block_width(len(x), self.block_offsets)
+        return CompiledTurns(packed, *given, offsets, width, x, vars(options))
 
     def select(self, keep: Tensor) -> "MeshObjective":
         """The objective of the meshes `keep` (B,) bool, over their unknowns alone."""

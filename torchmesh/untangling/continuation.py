@@ -18,7 +18,8 @@ from ..optimising.objective import MeshObjective, Packing
 from ..status import Status
 from .options import UntangleOptions
 
-# A step on a small mesh takes as long as one on so many triangles more, for what does not depend on their number.
+# A step of torch's loops on a small mesh takes as long as one on so many triangles more, for what does not depend on
+# their number.
 _OVERHEAD = 1750
 
 # Epsilon never falls below this number (Garanzha et al. 2021).
@@ -86,40 +87,69 @@ def _lower_epsilon(
 
     A mesh ends when it is valid, when it stalls, or after `options.max_continuations` values of epsilon.
     """
-    meshes = len(info.status)
+    meshes, triangles = len(info.status), counts_from_offsets(objective.triangle_offsets)
+    compiled = None if monitor is not None else objective.turns(unknowns, options.minimiser())
+    turns = compiled or Turns(objective, unknowns, options, monitor)
     eps = unknowns.new_ones(meshes)
     stall = _Stall(meshes, options, eps)
-    rows, slots = torch.arange(meshes, device=eps.device), torch.arange(len(unknowns), device=eps.device)
+    rows = torch.arange(meshes, device=eps.device)
     lowest = segment_min(objective.det(unknowns), objective.triangle_offsets)
     for turn in range(options.max_continuations):
         info.status[rows[lowest > 0]] = Status.VALID
-        going = info.status[rows] == Status.RUNNING
-        if not bool(going.any()):
-            break
-        if not bool(going.all()):
-            slots = slots[_in_slots(objective, going)]
-            rows, objective = rows[going], objective.select(going)
+        rows = rows[info.status[rows] == Status.RUNNING]
+        if not len(rows):
+            return
         here = eps[rows]
-        objective = replace(objective, energy=Regularised(spread(here, objective.triangle_offsets)))
-        before = objective(unknowns[slots])[0]
-        result = minimise(objective, unknowns[slots], options.minimiser(), monitor)
-        unknowns[slots] = result.unknowns
-        det = objective.det(result.unknowns)
-        lowest = segment_min(det, objective.triangle_offsets)
+        before, lowest, inverted, (energy, gradient, iterations, evaluations, status) = turns.take(rows, here)
+        result = MoveInfo(energy, gradient, iterations, evaluations, status)
         eps[rows] = _next_eps(here, lowest, before, result.energy)
         _record(info, rows, result)
         # Neither the vertices nor epsilon move any more.
         stuck = (result.iterations == 0) | ((eps[rows] >= 0.999 * here) & (result.status == Status.SETTLED))
-        stuck |= stall.reached(turn, rows, here, lowest, segment_count(det <= 0, objective.triangle_offsets))
+        stuck |= stall.reached(turn, rows, here, lowest, inverted)
         info.status[rows[stuck]] = Status.STALLED
         if options.work is not None:
-            most = options.work // (counts_from_offsets(objective.triangle_offsets) + _OVERHEAD)
+            most = options.work // (triangles[rows] + _OVERHEAD)
             spent = (info.iterations[rows] >= most.clamp_min(options.least_steps)) & (
                 info.status[rows] == Status.RUNNING
             )
             info.status[rows[spent & (lowest <= 0)]] = Status.ITERATION_LIMIT
     info.status[rows[lowest > 0]] = Status.VALID
     info.status[info.status == Status.RUNNING] = Status.ITERATION_LIMIT
+
+
+class Turns:
+    """Meshes that are minimised with an epsilon of each, again and again; `kernels.continuation` has its twin.
+
+    unknowns  (N,) of all meshes, which change
+    """
+
+    def __init__(
+        self, objective: MeshObjective, unknowns: Tensor, options: UntangleOptions, monitor: Monitor | None
+    ) -> None:
+        self.objective, self.unknowns = objective, unknowns
+        self.options, self.monitor = options.minimiser(), monitor
+        self.going = torch.arange(len(objective.block_offsets) - 1, device=unknowns.device)
+        self.slots = torch.arange(len(unknowns), device=unknowns.device)
+
+    def take(self, rows: Tensor, eps: Tensor) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, ...]]:
+        """Minimise the meshes `rows` (K,) with `eps` (K,); of the other meshes none is taken again.
+
+        Returns (K,) each: their energies before, their lowest determinants and numbers of inverted triangles after, and
+        the fields of `MoveInfo`.
+        """
+        if len(rows) < len(self.going):
+            stays = torch.isin(self.going, rows)
+            self.slots = self.slots[_in_slots(self.objective, stays)]
+            self.going, self.objective = rows, self.objective.select(stays)
+        offsets = self.objective.triangle_offsets
+        objective = replace(self.objective, energy=Regularised(spread(eps, offsets)))
+        before = objective(self.unknowns[self.slots])[0]
+        result = minimise(objective, self.unknowns[self.slots], self.options, self.monitor)
+        self.unknowns[self.slots] = result.unknowns
+        det = objective.det(result.unknowns)
+        outcome = result.energy, result.gradient, result.iterations, result.evaluations, result.status
+        return before, segment_min(det, offsets), segment_count(det <= 0, offsets), outcome
 
 
 def _settle(
@@ -143,7 +173,7 @@ def _in_slots(objective: MeshObjective, meshes: Tensor) -> Tensor:
     return meshes.repeat_interleave(blocks).repeat_interleave(BLOCK)
 
 
-def _record(info: MoveInfo, at: Tensor, result: LbfgsResult) -> None:
+def _record(info: MoveInfo, at: Tensor, result: LbfgsResult | MoveInfo) -> None:
     """Write what `minimise` came to for the meshes `at`, rows or mask, into `info`; work adds up."""
     info.energy[at], info.gradient[at] = result.energy, result.gradient
     info.iterations[at] += result.iterations

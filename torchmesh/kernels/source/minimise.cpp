@@ -2,40 +2,13 @@
 //
 // The method is that of torchmesh/optimising/lbfgs.py and lbfgs_history.py, where it is explained; names are the same.
 // A problem's way depends on nothing outside the problem, so neither threads nor pauses change a bit.
-#include "energy.hpp"
+#include "minimise.hpp"
 #include "own_rows.hpp"
 
 #include <memory>
 
 namespace torchmesh {
 namespace {
-
-// As torchmesh/status.py numbers them; kernels/minimiser.py passes the numbers.
-struct Statuses {
-    std::int64_t running, converged, settled, iteration_limit, stalled, valid, not_finite;
-};
-
-// Must have the fields of kernels/minimiser.py, `_Options`, in the same order.
-struct OptionsArgument {
-    std::int64_t max_iterations, patience, history;
-    double gradient_tolerance, energy_tolerance, first_step, largest_step, sufficient_decrease, least_curvature,
-        shortening_least, shortening_most, blind_shortening, shortest_step, enough;
-    std::int64_t has_enough;
-    Statuses status;
-};
-
-// Must have the fields of kernels/minimiser.py, `_Problems`, in the same order.
-struct ProblemsArgument {
-    TrianglesArgument triangles;
-    const void* start;     // (N,)
-    const void* anchored;  // (F,)
-    const void* scale;     // (N,)
-    const std::int64_t *block_offsets, *triangle_offsets;
-    std::int64_t count, width, unknowns;
-    void* out;  // (N,)
-    double *energy, *gradient;
-    std::int64_t *iterations, *evaluations, *status;
-};
 
 // --- loops over the unknowns of one problem ---
 
@@ -430,6 +403,16 @@ struct RunOf : Run {
 };
 
 }  // namespace
+
+double minimise_one(const ProblemsArgument& all, const OptionsArgument& options, std::int64_t number) {
+    Problem<double> problem(all, options, number);
+    const double before = problem.energy();
+    std::int64_t work = std::numeric_limits<std::int64_t>::max();
+    problem.advance(options.max_iterations + 1, work);
+    problem.write(all, number);
+    return before;
+}
+
 }  // namespace torchmesh
 
 TM_EXPORT void* tm_minimise_start(const torchmesh::ProblemsArgument* problems, const torchmesh::OptionsArgument* options,
