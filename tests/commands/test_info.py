@@ -75,3 +75,7 @@ def test_regions_of_quads_alone_are_counted(call, folder):
     meshio.Mesh(points, [("quad", quads)], cell_data={"material": [np.array([1, 2])]}).write(folder / "two.vtu")
     status, record = told(call, "two.vtu")
     assert (status, record["regions"]["count"]) == (0, 2)
+
+
+def test_layers_of_quads_are_found(call):
+    assert "layer of 2 of quads at wall 'body', first height 0.5" in told(call, "channel.msh")[1]["layers"]

@@ -7,6 +7,7 @@ import pytest
 
 import torchmesh as tm
 from torchmesh.errors import InvalidMeshError
+from torchmesh.files.documents import load
 from torchmesh.files.formats.format import Document
 from torchmesh.files.own_numbers import triangle_numbers, with_own_numbers
 from torchmesh.files.source import Source
@@ -126,6 +127,8 @@ def test_what_a_file_writes_it_numbers(tmp_path):
         step = next(iter(next(iter(file["ENS_MAA"].values())).values()))
         step["NOE/NUM"] = np.array(NODES)
         step["MAI/TR3/NUM"] = np.array([77, 41])
+        next(iter(file["ENS_MAA"].values())).attrs["UNI"] = np.bytes_("mm".ljust(16) + "mm".ljust(16))
+    assert load(tmp_path / "a.med").units == "mm"
     said = Source.open(tmp_path / "a.med").explained("the vertex 3 is beside triangles row 1")
     assert said.endswith("(in the file: node 10; element 41)")
 

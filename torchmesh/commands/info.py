@@ -94,7 +94,7 @@ def _record(given: "Series") -> dict[str, Any]:
             "constrained_edges": len(mesh.constrained_edges),
         },
         "groups": [_of_part(part, mesh.points) for part in parts_of(source).values()],
-        "layers": layers_in_words(mesh, _walls(source)),
+        "layers": "; ".join(filter(None, [layers_in_words(mesh, _walls(source)), *_layers_of_quads(source)])),
         "problems": list(_problems(source)),
     }
 
@@ -116,6 +116,23 @@ def _regions(source: "Source") -> int:
         return int(content.region.max()) + 1
     code = regions_of_all(content.mesh, content.first, content.quad_first, content.told_by)
     return len(np.unique(code))
+
+
+def _layers_of_quads(source: "Source") -> Iterator[str]:
+    """For each named wall, or else loop, on which layers of quads stand: how many, and how high the first one is."""
+    from ..files.parts import parts_of
+
+    points, told = source.mesh.points.double(), set[int]()
+    parts = [part for part in parts_of(source).values() if part.kind in ("lines", "loop") and len(part.layer)]
+    for part in sorted(parts, key=lambda part: part.kind != "lines"):
+        if told & set(part.layer.tolist()):
+            continue
+        told |= set(part.layer.tolist())
+        rows = int(part.base.bincount().max())
+        away = (points[part.layer] - points[part.base]).norm(dim=1)
+        first = away.new_full((len(points),), float("inf")).scatter_reduce(0, part.base, away, "amin")
+        height = float(first[first.isfinite()].median())
+        yield f"layer of {rows} of quads at wall {part.name!r}, first height {height:.2g}"
 
 
 def _walls(source: "Source") -> dict[str, Any]:
@@ -172,7 +189,9 @@ def _field(where: str, name: str, values: "np.ndarray") -> dict[str, Any]:
 
 
 def _units(document: "Document") -> str | None:
-    """The unit that a file states, which few formats can; None if it states none."""
+    """The units that a file states, which few formats can; None if it states none."""
+    if document.units:
+        return document.units
     for name, value in document.mesh.field_data.items():
         if "unit" in str(name).lower():
             return f"{name}: {value}"

@@ -142,6 +142,14 @@ def test_zones_lie_side_by_side_and_are_regions(tmp_path):
     assert np.array_equal(tm.read(tmp_path / "b.cgns").points, moved)
 
 
+def test_the_unit_of_length_is_told(tmp_path):
+    source = square(tmp_path / "a.cgns")
+    with h5py.File(source, "r+", track_order=True) as file:
+        words = "".join(word.ljust(32) for word in ("Kilogram", "Meter", "Second", "Kelvin", "Radian"))
+        _node(file["Base"], "DimensionalUnits", "DimensionalUnits_t", words)
+    assert load(source).units == "Meter"
+
+
 def put(name, values):
     """A change of a file: other data in a node of it."""
 

@@ -50,6 +50,7 @@ def test_an_unchanged_file_comes_back_and_a_moved_point_changes_its_numbers(tmp_
     source.write_bytes(selafin(*case))
     mesh = tm.read(source)
     assert mesh.triangles.tolist() == FACES.tolist()
+    assert load(source).units == "BOTTOM in M, FREE SURFACE in M"
     tm.write(out, mesh, like=source)
     assert out.read_bytes() == source.read_bytes()
     points = mesh.points.clone()

@@ -48,6 +48,7 @@ def test_flips_change_the_lines_of_their_nodes(source, tmp_path):
 
 def test_a_mesh_with_more_nodes_is_written_anew_with_its_groups(source, tmp_path):
     mesh, _ = divided(source)
+    assert load(source).units == "metre, newton"
     with pytest.warns(tm.MeshWarning, match="dataset 164"):
         tm.write(tmp_path / "b.unv", mesh, like=source)
     assert np.array_equal(tm.read(tmp_path / "b.unv").triangles, mesh.triangles)

@@ -145,6 +145,7 @@ class _Reader:
         self.vertices: dict[str, list[np.ndarray]] = {}
         self.by_element: dict[str, None] = {}
         self.skipped: dict[str, None] = {}
+        self.units = ""
 
     def document(self, name: str) -> Document:
         bases = list(self.root.children("CGNSBase_t"))
@@ -154,6 +155,7 @@ class _Reader:
         for base, zone in zones:
             kept = len(self.file.sections)
             self._read_zone(base, zone)
+            self.units = self.units or _units(base) or _units(zone)
             if len(zones) > 1:
                 faces = [s.number for s in self.file.sections[kept:] if s.kind not in ("line", "line3", "vertex")]
                 self._group(zone.name, kept, np.concatenate([np.zeros(0, np.int64), *faces]))
@@ -177,6 +179,7 @@ class _Reader:
             mesh, name, rest=self.file, by_element=tuple(self.by_element), skipped=tuple(self.skipped),
             node_numbers=1 + np.arange(len(mesh.points)) if one else None,
             cell_numbers=numbers_by_type(mesh, [s.number for s in self.file.sections]) if one else {},
+            units=self.units,
         )  # fmt: skip
 
     def _read_zone(self, base: Node, zone: Node) -> None:
@@ -261,6 +264,15 @@ class _Reader:
                     continue
                 self.point_data.setdefault(name, []).append(values)
                 self.file.fields.setdefault(name, []).append(array.path)
+
+
+def _units(node: Node) -> str:
+    """The unit of length that a node states, as CGNS calls it."""
+    for child in node.children("DimensionalUnits_t"):
+        raw = np.asarray(child.data()).astype(np.uint8).tobytes()
+        word = raw[32:64].split(b"\0")[0].decode("latin-1").strip()  # mass, length, time, temperature, angle
+        return "" if word in ("Null", "UserDefined") else word
+    return ""
 
 
 def _members(node: Node) -> np.ndarray:

@@ -41,6 +41,7 @@ class Document:
     skipped            names for what of the file was not read
     node_numbers       (V,) what the file calls its nodes, by row; None where it has no numbers of its own
     cell_numbers       what it calls its cells, by their type and in file order; empty where it has no numbers
+    units              what it says of units, in words; empty where it says nothing
     """
 
     mesh: meshio.Mesh
@@ -56,6 +57,7 @@ class Document:
     depths: bool = False
     node_numbers: Sequence[Any] | np.ndarray | None = None
     cell_numbers: Mapping[str, Sequence[Any] | np.ndarray] = field(default_factory=dict)
+    units: str = ""
 
 
 def numbers_by_type(mesh: meshio.Mesh, numbers: Iterable[np.ndarray]) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from .checks import (
     is_binary_stl,
 )
 from .format import FLAT, LINEAR, Document, Format
-from .meshio_numbers import Numbers, counted, of_avs, of_med, of_permas
+from .meshio_numbers import Numbers, counted, med_units, of_avs, of_med, of_permas
 from .skipped import (
     each_once,
     in_avs,
@@ -62,6 +62,7 @@ class MeshioFormat(Format):
     binary_option  can meshio write it both as text and as binary
     in_memory      is it written to memory first, because HDF5 crashes the process when a disk is full
     numbers        what a file calls its nodes and cells; None: they are counted from 0, or have no numbers
+    units          what a file says of units
     foreign        what a file begins with that has the extension and is of another format
     """
 
@@ -75,6 +76,7 @@ class MeshioFormat(Format):
     binary_option: bool = False
     in_memory: bool = False
     numbers: Numbers | None = None
+    units: Callable[[Path], str] | None = None
     foreign: bytes = b""
 
     def recognises(self, head: bytes) -> bool:
@@ -97,7 +99,7 @@ class MeshioFormat(Format):
         nodes, cells = self.numbers(mesh, data or path) if self.numbers else (None, {})
         return Document(
             mesh, self.name, self.is_binary(data) if self.is_binary else None, skipped=each_once(names),
-            node_numbers=nodes, cell_numbers=cells,
+            node_numbers=nodes, cell_numbers=cells, units=self.units(path) if self.units else "",
         )  # fmt: skip
 
     def parse(self, path: Path, data: bytes) -> meshio.Mesh:
@@ -177,7 +179,7 @@ SOLVER_FORMATS = (
     ),
     MeshioFormat(
         "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5,
-        skipped_file=in_med, numbers=of_med,
+        skipped_file=in_med, numbers=of_med, units=med_units,
     ),
     MeshioFormat(
         "permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, skipped=in_permas, stream="text",

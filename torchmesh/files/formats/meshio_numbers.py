@@ -1,4 +1,4 @@
-"""What files that meshio reads call their nodes and cells; meshio itself passes these numbers over."""
+"""What files that meshio reads call their nodes and cells, and units; meshio itself passes these over."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -65,6 +65,16 @@ def of_med(mesh: meshio.Mesh, file: bytes | Path) -> Names:
             if place in step and step[place].shape == own.shape:
                 made[kind] = step[place][()].astype(np.int64)
     return nodes, made
+
+
+def med_units(path: Path) -> str:
+    """The units of the axes, each once."""
+    import h5py
+
+    with h5py.File(path, "r") as opened:
+        found = next(iter(opened["ENS_MAA"].values())).attrs.get("UNI", b"")
+    words = found.decode("latin-1") if isinstance(found, bytes) else str(found)
+    return ", ".join(dict.fromkeys(words.replace("\0", " ").split()))
 
 
 def _in_blocks(mesh: meshio.Mesh, numbers: list[int]) -> list[np.ndarray]:

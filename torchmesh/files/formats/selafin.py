@@ -111,6 +111,14 @@ class Selafin:
             for variable in range(count):
                 self.numbers(record + 1 + variable, self.real, points)
 
+    @property
+    def units(self) -> str:
+        """The units of the variables, which the title states beside their names."""
+        words = [
+            self.data[slice(*self.records[2 + k])][16:32].decode("latin-1").strip() for k in range(len(self.names))
+        ]
+        return ", ".join(f"{name} in {word}" for name, word in zip(self.names, words, strict=True) if word)
+
     def mesh(self) -> meshio.Mesh:
         """The mesh; a variable of several frames has a column for each."""
         elements, points, corners, _ = self.numbers(self.first - 1, self.whole, 4).tolist()
@@ -160,7 +168,9 @@ class SelafinFormat(Format):
         file = Selafin.of(path.read_bytes())
         mesh = file.mesh()
         nodes = 1 + np.arange(len(mesh.points))
-        return Document(mesh, self.name, rest=file, node_numbers=nodes, cell_numbers=counted_by_type(mesh, 1))
+        return Document(
+            mesh, self.name, rest=file, node_numbers=nodes, cell_numbers=counted_by_type(mesh, 1), units=file.units
+        )
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         names = list(like.mesh.point_data) if like is not None else []

@@ -31,6 +31,11 @@ _NUMBERS = {"triangle": 91, "triangle6": 92, "quad": 94, "quad8": 95, "line": 11
 # Nodes of second order go round, corner after mid-side node: which of them is each of meshio's.
 _ORDER = {"triangle6": [0, 2, 4, 1, 3, 5], "quad8": [0, 2, 4, 6, 1, 3, 5, 7], "line3": [0, 2, 1]}
 
+# Dataset 164: what its numbers of systems of units mean, by length and force.
+_UNITS = {1: "metre, newton", 2: "foot, pound-force", 3: "metre, kilogram-force", 4: "foot, poundal",
+          5: "millimetre, millinewton", 6: "centimetre, centinewton", 7: "inch, pound-force",
+          8: "millimetre, kilogram-force", 9: "chosen by the user", 10: "millimetre, newton"}  # fmt: skip
+
 _ELEMENT = 8  # the type of the members of groups that are elements
 
 
@@ -109,6 +114,7 @@ class _Reader:
         self.where: dict[int, tuple[str, int]] = {}
         self.groups: list[tuple[str, list[tuple[int, int]]]] = []
         self.skipped: dict[str, None] = {}
+        self.units = ""
 
     def document(self, name: str) -> Document:
         for number, begin, end in self._datasets():
@@ -120,6 +126,9 @@ class _Reader:
                 self._read_groups(number, begin, end)
             else:
                 self.skipped[f"dataset {number}"] = None
+                if number == "164" and begin < end:
+                    code = self.file.lines[begin][:10].strip()
+                    self.units = _UNITS.get(int(code) if code.isdigit() else 0, "")
         labels = self.file.labels = np.array(self.names, np.int64)
         if not len(labels) or not self.blocks:
             raise ValueError("it has no nodes (2411) or no elements (2412)")
@@ -137,7 +146,7 @@ class _Reader:
         own = [np.array(self.labels[kind], np.int64) for kind in self.blocks]
         return Document(
             mesh, name, rest=self.file, skipped=tuple(self.skipped), node_numbers=labels,
-            cell_numbers=numbers_by_type(mesh, own),
+            cell_numbers=numbers_by_type(mesh, own), units=self.units,
         )  # fmt: skip
 
     def _datasets(self) -> Iterator[tuple[str, int, int]]:
