@@ -1,10 +1,12 @@
 """Six-node triangles on the command line: counts, exit statuses, motions of curved parts."""
 
 import json
+import re
 
 import curved_meshes as cm
 import meshio
 import numpy as np
+import pytest
 
 
 def test_quality_counts_inverted_curved_triangles_and_decides_the_exit_status(call, folder):
@@ -106,3 +108,16 @@ def test_a_file_of_quads_alone_is_measured_and_improved_in_plan(call, folder):
     assert (after[rim] == points[rim]).all()
     assert points[:, 2].min() <= after[14, 2] <= points[:, 2].max()
     assert (after[14, :2] != points[14, :2]).any()
+
+
+def test_commands_draw_the_curves(call, folder):
+    pytest.importorskip("matplotlib")
+    points, six = cm.tangled_annulus(0.3, around=10)
+    meshio.Mesh(points, [("triangle6", six)]).write(folder / "ring.vtu")
+    done = call("report", "ring.vtu", "out.vtu", "page.html")
+    assert (done.status, done.err) == (0, ""), "the file after is valid, whatever that before was"
+    page = (folder / "page.html").read_text()
+    stages = json.loads(re.search(r'<script[^>]*id="header"[^>]*>(.*?)</script>', page, re.S)[1])["stages"]
+    assert stages[0]["curves"] == stages[-1]["curves"] == 20
+    assert call("improve", "ring.vtu", "b.vtu", "--plot", "p.svg").status == 0
+    assert (folder / "p.svg").stat().st_size > 10_000

@@ -188,8 +188,14 @@ def curved_summary(meshes: Sequence[MeshBatch], placed: Sequence[Placed | None] 
 
 def curved_counts(file: Series) -> CurvedSummary | None:
     """Counts of the six-node triangles of the meshes of a file together, as they are in it; None without any."""
-    placed = [None if s.middles is None else Placed(s.mesh, s.middles) for s in file.first_sources()]
-    return curved_summary([s.mesh for s in file.first_sources()], placed) if _curved([file]) else None
+    return curved_summary([s.mesh for s in file.first_sources()], with_given_nodes(file))
+
+
+def with_given_nodes(file: Series) -> list[Placed | None] | None:
+    """The meshes of a file with their mid-side nodes as they are in it; None for a file without any."""
+    if not _curved([file]):
+        return None
+    return [None if s.middles is None else Placed(s.mesh, s.middles) for s in file.first_sources()]
 
 
 def _held(file: Series) -> torch.Tensor:

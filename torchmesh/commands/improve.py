@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from ..mesh.batch import MeshBatch
     from ..mesh.measure import Quality
     from ..mesh.regions import RegionAreas
+    from ..pictures.curves import Curves
 
 EXAMPLES = (
     "torchmesh improve tangled.vtu better.vtu",
@@ -321,6 +322,18 @@ def _check_targets(source: Path, target: Path, report: Path | None, plot: Path |
         check_picture_path(plot)
 
 
+def _curves(improved: "ImprovedFile", mesh: int) -> "tuple[Curves | None, Curves | None]":
+    """What is curved in one mesh before and after."""
+    from ..files.placed import Placed
+    from ..pictures.curves import Curves
+
+    source = improved.given.first_sources()[mesh]
+    if source.middles is None or improved.placed is None:
+        return None, None
+    given = Placed(improved.given.batch.split()[mesh], source.middles)
+    return Curves.of(given), Curves.of(improved.placed[mesh])
+
+
 def _write(
     improved: "ImprovedFile",
     draft: "SeriesDraft",
@@ -343,6 +356,7 @@ def _write(
             worst = int(improved.before.inverted.argmax())
             which = f", {improved.given.names()[worst]}" if len(improved.meshes) > 1 else ""
             given, made = improved.given.batch.split()[worst], improved.meshes[worst]
-            before_after(files.enter_context(replacing(plot)), given, made, f"{name}{which}: before and after")
+            title = f"{name}{which}: before and after"
+            before_after(files.enter_context(replacing(plot)), given, made, title, _curves(improved, worst))
         draft.tell()
         draft.save()

@@ -90,11 +90,12 @@ def report(
 
     The exit status is 1 if OUT has inverted triangles.
     """
-    from ..batches.file_improvement import curved_counts, open_mesh
+    from ..batches.file_improvement import curved_counts, open_mesh, with_given_nodes
     from ..files.atomic import check_target
     from ..files.time_series import check_steps
     from ..mesh.batch import join
     from ..mesh.measure import quality
+    from ..pictures.curves import Curves
     from ..pictures.page import report_page
 
     options = improve_options(method, topology, beta, boundary, interfaces, scope, shapes, quads)
@@ -109,19 +110,25 @@ def report(
         improved = improve_all(given, options, quiet, height.value)
         improved.write(target)
         after = replace(given, batch=join(improved.meshes))
+        placed, counts = improved.placed, improved.curved
     else:
         after = open_mesh(target)
+        placed, counts = with_given_nodes(after), curved_counts(after)
     at = _step_shown(given, after, target, step)
     shown, result, note = _stages(given.only(at), after.only(at), target, options, stages, quiet)
     series = _series_table(given, after, at) if len(given) > 1 else None
-    report_page(page, shown, result, title=title or f"{source.name}: before and after", note=note, series=series)
+    pairs = ((with_given_nodes(given), given), (placed, after))
+    ends = [None if one is None else Curves.of(one[of.mesh_of_step[at]]) for one, of in pairs]
+    curves = [ends[0], *[None] * (len(shown) - 2), ends[1]]
+    title = title or f"{source.name}: before and after"
+    report_page(page, shown, result, title=title, note=note, series=series, curves=curves)
     if not quiet:
         extent = console.counted(len(shown), "stage") if note is None else "before and after only"
         which = f" of step {at}" if len(given) > 1 else ""
         typer.echo(f"{page}: {extent}{which}, {page.stat().st_size / 1e6:.1f} MB")
         if note is not None:
             console.say(note)
-    return console.verdict(f"in {target}", quality(after.batch), curved=curved_counts(after))
+    return console.verdict(f"in {target}", quality(after.batch), curved=counts)
 
 
 def _step_shown(given: "Series", after: "Series", target: Path, step: int | None) -> int:

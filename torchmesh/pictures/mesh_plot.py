@@ -13,6 +13,7 @@ from ..errors import MissingDependencyError
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
 from . import palette
+from .curves import Curves
 from .places import Place
 from .regions import Box, corner_points, of_elements, view_of
 
@@ -38,13 +39,20 @@ def require_matplotlib() -> None:
 
 
 def plot_mesh(
-    ax: Any, mesh: MeshBatch, quality: Quality, region: Box | None = None, *, frame: Box | None = None
+    ax: Any,
+    mesh: MeshBatch,
+    quality: Quality,
+    region: Box | None = None,
+    *,
+    frame: Box | None = None,
+    curves: Curves | None = None,
 ) -> Any:
     """Draw a mesh on matplotlib axes, triangles coloured by inverse mean ratio, inverted ones vermilion.
 
     quality  of `mesh`
     region   the part to show; None: all of it
     frame    a rectangle to draw on top, as where a close-up was taken
+    curves   the curved sides of six-node triangles
 
     Returns the coloured collection, from which a colour bar can be made.
     """
@@ -63,9 +71,10 @@ def plot_mesh(
     per_unit = _points_per_unit(ax, view)
     size = per_unit * (high - low).max(1)
     typical = float(np.median(size[shown])) if shown.any() else 1.0
-    fill = _fill(ax, shape[good], ratio[good], typical)
-    _draw_interfaces(ax, mesh, typical)
-    _mark_inverted(ax, shape[bad], typical)
+    outlines = shape if curves is None else _Picked(curves.outlines(mesh, shape))
+    fill = _fill(ax, outlines[good], ratio[good], typical)
+    _draw_interfaces(ax, mesh, typical, curves)
+    _mark_inverted(ax, outlines[bad], typical)
     small = bad & (size < _DOT_BELOW)
     if small.any():
         _mark_small(ax, shape[small].mean(1), per_unit**2 * (view[2] - view[0]) * (view[3] - view[1]))
@@ -73,6 +82,13 @@ def plot_mesh(
         corner, width, height = frame[:2], frame[2] - frame[0], frame[3] - frame[1]
         ax.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=palette.FRAME, linewidth=1.4, zorder=5))
     return fill
+
+
+class _Picked(list[np.ndarray]):
+    """Outlines that a mask picks from, as from an array."""
+
+    def __getitem__(self, mask: Any) -> Any:
+        return [super(_Picked, self).__getitem__(k) for k in np.flatnonzero(mask).tolist()]
 
 
 def _fill(ax: Any, shape: Any, ratio: np.ndarray, typical: float) -> Any:
@@ -95,13 +111,14 @@ def _fill(ax: Any, shape: Any, ratio: np.ndarray, typical: float) -> Any:
     return fill
 
 
-def _draw_interfaces(ax: Any, mesh: MeshBatch, typical: float) -> None:
+def _draw_interfaces(ax: Any, mesh: MeshBatch, typical: float, curves: Curves | None) -> None:
     """Constrained edges: dashes on a pale line, thinner where triangles of `typical` size leave less room."""
     from matplotlib.collections import LineCollection
 
     if not len(mesh.constrained_edges):
         return
-    ends = mesh.points.detach().cpu().double().numpy()[mesh.constrained_edges.cpu().numpy()]
+    points, edges = mesh.points.detach().cpu().double().numpy(), mesh.constrained_edges.cpu().numpy()
+    ends: Any = points[edges] if curves is None else curves.lines(points, edges)
     width = float(np.clip(typical / 8, 0.35, 1.3))
     for colour, factor, style in ((palette.INTERFACE_PALE, 2.0, "-"), (palette.INTERFACE, 1.0, (0, (3, 2)))):
         lines = LineCollection(ends, colors=colour, linewidths=factor * width, linestyles=[style], zorder=2.5)

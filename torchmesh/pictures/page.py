@@ -11,6 +11,7 @@ import json
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from html import escape
 from importlib import resources
 from importlib.metadata import version
@@ -30,6 +31,7 @@ from ..mesh.measure import quality as measure
 from ..mesh.quads import halved
 from . import histograms, palette
 from .captions import quality_in_words
+from .curves import Curves
 from .page_data import CODES_A_DOUBLING, INFINITE_CODE, encode
 from .page_tables import numbers_table, places_list, series_section, steps_table
 from .places import places_left
@@ -47,6 +49,7 @@ def report_page(
     title: str | None = None,
     note: str | None = None,
     series: Sequence[tuple[str, Quality, Quality, bool]] | None = None,
+    curves: Sequence[Curves | None] | None = None,
 ) -> None:
     """Write an HTML page that shows a mesh in its stages: tables, histograms, and a picture to zoom and click in.
 
@@ -59,6 +62,7 @@ def report_page(
     note    a sentence to stand below the heading
     series  of a mesh that is one step of a time series: for each step its name, its quality before and after, and
             whether it is the step that the page shows
+    curves  of each stage the curved sides of its six-node triangles (`pictures.curves.Curves`); None: there are none
 
     Raises InvalidMeshError if there is no stage or one is a batch of several; ValueError if the report's steps are
     not these stages; MeshIOError if the file cannot be written.
@@ -66,13 +70,14 @@ def report_page(
     path = Path(path)
     stages = list(stages)
     _check(stages, report)
-    measured = [measure(mesh) for _, mesh in stages]
+    bent = [None] * len(stages) if curves is None else list(curves)
+    measured = [_judged(measure(mesh), own) for (_, mesh), own in zip(stages, bent, strict=True)]
     labels = [f"{i}. {name}" for i, (name, _) in enumerate(stages)]
     steps = report.steps[0] if report is not None else [None] * len(stages)
     shown = _shown(
         [len(mesh.triangles) + 2 * len(mesh.quads) for _, mesh in stages], [int(q.inverted[0]) for q in measured]
     )
-    header, data = _picture(stages, measured, labels, shown)
+    header, data = _picture(stages, measured, labels, shown, bent)
     places = places_left(stages[-1][1], measured[-1]) if len(stages) > 1 or report is not None else []
     header["places"] = [[*place.position, place.size] for place in places]
     names = ("before", "after") if len(stages) > 1 else ("mesh", "mesh")
@@ -99,10 +104,11 @@ def report_page(
 
 
 def _picture(
-    stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality], labels: Sequence[str], shown: Sequence[int]
-) -> tuple[dict[str, Any], str]:
+    stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality], labels: Sequence[str], shown: Sequence[int],
+    bent: Sequence[Curves | None],
+) -> tuple[dict[str, Any], str]:  # fmt: skip
     """What the script draws from: its header for JSON, and the encoded data of the stages `shown`."""
-    encoded = encode([_drawn(stages[i][1], measured[i]) for i in shown])
+    encoded = encode([_drawn(stages[i][1], measured[i]) for i in shown], [bent[i] for i in shown])
     for entry, i in zip(encoded.header["stages"], shown, strict=True):
         entry["name"] = labels[i]
         entry["label"] = f"{labels[i]}: {quality_in_words(measured[i])}"
@@ -127,12 +133,21 @@ def _picture(
     return encoded.header | header, encoded.text
 
 
+def _judged(quality: Quality, curves: Curves | None) -> Quality:
+    """The quality with curved triangles that are inverted."""
+    return quality if curves is None else curves.judged(quality)
+
+
 def _drawn(mesh: MeshBatch, quality: Quality) -> tuple[MeshBatch, Quality]:
     """The mesh as the script draws it: of triangles, among which each quad has two with its own quality."""
     if not len(mesh.quads):
         return mesh, quality
     halves = halved(mesh)
-    return halves, measure(halves)
+    whole = len(mesh.triangles)  # before their halves; curved ones may be inverted where straight ones are not
+    measured = measure(halves)
+    upright = measured.upright.clone()
+    upright[:whole] &= quality.upright
+    return halves, replace(measured, upright=upright)
 
 
 def _asset(name: str) -> str:

@@ -1,6 +1,7 @@
 """The stages of a mesh as compact text that a web page can carry: what `report_page` embeds and page_mesh.js reads.
 
-    stage --> positions on a grid (int32), triangles (uint32), quality codes (uint16), inverted flags (bits), interfaces
+    stage --> positions on a grid (int32), triangles (uint32), quality codes (uint16), inverted flags (bits),
+              interfaces, curved edges with their control points
           --> difference to the stage before, bytes of equal weight side by side --> deflate --> base64
 
 Most vertices, triangles and shapes are the same from one stage to the next, so that differences are
@@ -18,6 +19,7 @@ import torch
 
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality
+from .curves import Curves
 
 # Positions lie on a grid of 2^31 steps across all the stages: fine enough to zoom in a million times.
 _GRID_STEPS = 2**31 - 2
@@ -35,35 +37,42 @@ class Encoded:
     """What the page needs to show the stages.
 
     header  for JSON: the grid's `origin` and `step` in the mesh's length unit, the `frame` of its plane, and for each
-            stage its `vertices`, `triangles` and `interfaces` (counts), and `quads`, of which the last triangles are
-            the halves
+            stage its `vertices`, `triangles`, `interfaces` and `curves` (counts), and `quads`, of which the last
+            triangles are the halves
     text    base64 of the deflated arrays, stage by stage: points, triangles, quality codes, inverted flags,
-            ends of interface edges
+            ends of interface edges, ends of curved edges, control points of these
     """
 
     header: dict[str, Any]
     text: str
 
 
-def encode(stages: Sequence[tuple[MeshBatch, Quality]]) -> Encoded:
-    """Pack the stages of one mesh, in order, each with its quality; their counts may differ."""
+def encode(stages: Sequence[tuple[MeshBatch, Quality]], curves: Sequence[Curves | None] | None = None) -> Encoded:
+    """Pack the stages of one mesh, in order, each with its quality and its curved sides; their counts may differ."""
+    bent = [None] * len(stages) if curves is None else list(curves)
     points = [mesh.points.detach().to("cpu", torch.float64).numpy() for mesh, _ in stages]
-    low = np.min([p.min(0) for p in points], 0)
-    high = np.max([p.max(0) for p in points], 0)
+    controls = [np.zeros((0, 2)) if own is None else own.controls for own in bent]
+    every = [p for p in (*points, *controls) if len(p)]
+    low = np.min([p.min(0) for p in every], 0)
+    high = np.max([p.max(0) for p in every], 0)
     step = float((high - low).max()) / _GRID_STEPS or 1.0
     chunks: list[bytes] = []
     before: list[np.ndarray] = []
-    for (mesh, quality), position in zip(stages, points, strict=True):
+    none = np.zeros((0, 2), np.int64)
+    for k, (mesh, quality) in enumerate(stages):
+        own = bent[k]
         arrays = [
-            np.rint((position - low) / step).astype(np.uint32),
+            np.rint((points[k] - low) / step).astype(np.uint32),
             mesh.triangles.cpu().numpy().astype(np.uint32),
             codes(quality.inverse_mean_ratio.cpu().numpy()),
             np.packbits(~quality.upright.cpu().numpy(), bitorder="little"),
             mesh.constrained_edges.cpu().numpy().astype(np.uint32),
+            (none if own is None else own.edges).astype(np.uint32),
+            np.rint((controls[k] - low) / step).astype(np.uint32),
         ]
-        for k, array in enumerate(arrays):
-            known = before and before[k].shape == array.shape
-            difference = array ^ before[k] if known else array
+        for j, array in enumerate(arrays):
+            known = before and before[j].shape == array.shape
+            difference = array ^ before[j] if known else array
             chunks.append(_by_weight(difference))
         before = arrays
     header = {
@@ -75,9 +84,10 @@ def encode(stages: Sequence[tuple[MeshBatch, Quality]]) -> Encoded:
                 "vertices": len(m.points),
                 "triangles": len(m.triangles),
                 "interfaces": len(m.constrained_edges),
+                "curves": len(controls[k]),
                 **({"quads": len(m.quads)} if len(m.quads) else {}),
             }
-            for m, _ in stages
+            for k, (m, _) in enumerate(stages)
         ],
     }
     return Encoded(header, base64.b64encode(zlib.compress(b"".join(chunks), 9)).decode("ascii"))

@@ -9,6 +9,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.measure import quality as measure
 from . import histograms
 from .captions import panel_title
+from .curves import Curves
 from .mesh_plot import mark_places, plot_mesh, require_matplotlib
 from .places import places_left
 from .regions import Box, shaped, view_of, within, worst_region
@@ -32,28 +33,35 @@ def check_picture_path(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def before_after(path: str | os.PathLike[str], before: MeshBatch, after: MeshBatch, title: str | None = None) -> None:
+def before_after(
+    path: str | os.PathLike[str],
+    before: MeshBatch,
+    after: MeshBatch,
+    title: str | None = None,
+    curves: tuple[Curves | None, Curves | None] = (None, None),
+) -> None:
     """Write a picture of one mesh before and after: whole, a close-up of the worst region before, histograms.
 
-    path  .png, .pdf or .svg; written to a temporary file first, so that it is there whole or not at all
+    path    .png, .pdf or .svg; written to a temporary file first, so that it is there whole or not at all
+    curves  the curved sides of six-node triangles before and after
 
     Raises MeshIOError, and MissingDependencyError without matplotlib.
     """
     path = check_picture_path(path)
-    view = view_of(before, after)
+    view = view_of(before, after, more=[c.nodes for c in curves if c is not None])
     sheet = Sheet(view, rows=2, title=title, histograms=True)
-    measured = [measure(before), measure(after)]
+    measured = [m if c is None else c.judged(m) for m, c in zip((measure(before), measure(after)), curves, strict=True)]
     places = places_left(after, measured[1])
     close_up = within(worst_region(before, measured[0], sheet.heights[1] / sheet.panel[0]), view)
     fill = None
     for column, (name, mesh, q) in enumerate(zip(("before", "after"), (before, after), measured, strict=True)):
         ax = sheet.axes(0, column)
-        fill = plot_mesh(ax, mesh, q, view, frame=close_up)
+        fill = plot_mesh(ax, mesh, q, view, frame=close_up, curves=curves[column])
         ax.set_title(panel_title(f"{name}:", q, sheet.panel[0]), fontsize=10)
         if column:
             mark_places(ax, places)
         ax = sheet.axes(1, column)
-        plot_mesh(ax, mesh, q, close_up)
+        plot_mesh(ax, mesh, q, close_up, curves=curves[column])
         ax.set_title(f"{name}, close-up (red rectangle)", fontsize=10)
         if column:
             mark_places(ax, places)

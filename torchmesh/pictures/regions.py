@@ -1,5 +1,7 @@
 """Rectangles of the plane: the view of a picture, and where its close-up is taken."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -44,9 +46,10 @@ def of_elements(quality: Quality) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return area, ratio, upright
 
 
-def view_of(*meshes: MeshBatch) -> Box:
-    """The rectangle that holds all triangles of the meshes, with a narrow margin."""
-    low_x, low_y, high_x, high_y = zip(*map(_extent, meshes), strict=True)
+def view_of(*meshes: MeshBatch, more: Sequence[np.ndarray] = ()) -> Box:
+    """The rectangle that holds all triangles of the meshes, and more points (N, 2), with a narrow margin."""
+    boxes = [*map(_extent, meshes), *((*p.min(0).tolist(), *p.max(0).tolist()) for p in more if len(p))]
+    low_x, low_y, high_x, high_y = zip(*boxes, strict=True)
     return _grown((min(low_x), min(low_y), max(high_x), max(high_y)), _MARGIN)
 
 

@@ -169,7 +169,7 @@
 
   function nextWorst(step) {
     const stage = current();
-    state.worst = (state.worst + step + stage.count) % stage.count;
+    state.worst = (state.worst + step + stage.worst.length) % stage.worst.length;
     if (state.worst < 0) state.worst = 0;
     goTo(stage.worst[state.worst]);
   }

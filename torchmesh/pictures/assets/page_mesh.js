@@ -26,14 +26,16 @@ function unpack(header, bytes) {
   };
   const stages = [];
   let last = {};
-  for (const { vertices, triangles, quads, interfaces, name, label } of header.stages) {
+  for (const { vertices, triangles, quads, interfaces, curves, name, label } of header.stages) {
     const grid = take(Uint32Array, 2 * vertices, last.grid);
     const corners = take(Uint32Array, 3 * triangles, last.corners);
     const codes = take(Uint16Array, triangles, last.codes);
     const flags = take(Uint8Array, (triangles + 7) >> 3, last.flags);
     const walls = take(Uint32Array, 2 * interfaces, last.walls);
+    const bends = take(Uint32Array, 2 * curves, last.bends);
+    const controls = take(Uint32Array, 2 * curves, last.controls);
     const whole = triangles - 2 * (quads || 0);
-    last = { name, label, grid, corners, codes, flags, walls, count: triangles, whole };
+    last = { name, label, grid, corners, codes, flags, walls, bends, controls, count: triangles, whole };
     stages.push(last);
   }
   return stages;
@@ -64,11 +66,27 @@ function prepare(stage) {
     (j - i === 1 ? boundary : inner).push(Math.floor(keys[i] / vertices), keys[i] % vertices);
     i = j;
   }
+  // Edges that are curved, by their ends, and the triangles at them.
+  stage.bendOf = new Map();
+  for (let i = 0; i < stage.bends.length; i += 2) stage.bendOf.set(stage.bends[i] * vertices + stage.bends[i + 1], i);
+  stage.bent = [];
+  for (let t = 0; stage.bendOf.size && t < count; t++) {
+    const sides = [0, 1, 2].map((k) => bendAt(stage, corners[3 * t + k], corners[3 * t + ((k + 1) % 3)]));
+    if (sides.some((side) => side >= 0)) stage.bent.push(t);
+  }
   stage.inner = Uint32Array.from(inner);
   stage.boundary = Uint32Array.from(boundary);
   const rank = (t) => stage.codes[t] + (isInverted(stage, t) ? 65536 : 0);
-  stage.worst = Uint32Array.from({ length: count }, (_, t) => t).sort((s, t) => rank(t) - rank(s) || s - t);
+  // Of a quad one half stands for both.
+  const elements = Uint32Array.from({ length: count }, (_, t) => t).filter((t) => t < stage.whole || (t - stage.whole) % 2 === 0);
+  stage.worst = elements.sort((s, t) => rank(t) - rank(s) || s - t);
   return stage;
+}
+
+// Where the control point of a curved edge stands; -1 for a straight one.
+function bendAt({ bendOf, grid }, u, v) {
+  const at = bendOf.get((Math.min(u, v) * grid.length) / 2 + Math.max(u, v));
+  return at === undefined ? -1 : at;
 }
 
 function extentOf(stages) {
@@ -216,16 +234,18 @@ function paint(canvas, stage, view, look) {
     drawDot(pixels, width, height, (ax + bx + cx) / 3, (ay + by + cy) / 3, radius, vermilion);
   }
   context.putImageData(canvas.image, 0, 0);
+  const bends = { stage, controls: toScreen(stage.controls, view, width, height) };
+  fillCurved(context, screen, bends, look);
   const edge = seen ? sizes / seen : 0, dense = 4 * view.ratio;
   if (look.edges && edge > dense) {
     const opacity = Math.min(0.8, edge / (8 * dense));
-    strokeEdges(context, screen, stage.inner, `rgba(${rgb(look.colours.edge)},${opacity})`, view.ratio * Math.min(1, edge / (10 * dense) + 0.4));
+    strokeEdges(context, screen, stage.inner, `rgba(${rgb(look.colours.edge)},${opacity})`, view.ratio * Math.min(1, edge / (10 * dense) + 0.4), bends);
   }
-  strokeEdges(context, screen, stage.boundary, look.colours.boundary, 1.2 * view.ratio);
+  strokeEdges(context, screen, stage.boundary, look.colours.boundary, 1.2 * view.ratio, bends);
   const fine = view.ratio * Math.min(1, Math.max(0.4, edge / (16 * view.ratio)));
-  strokeEdges(context, screen, stage.walls, look.colours.interfacePale, 3.6 * fine);
+  strokeEdges(context, screen, stage.walls, look.colours.interfacePale, 3.6 * fine, bends);
   context.setLineDash([5 * fine, 4 * fine]);
-  strokeEdges(context, screen, stage.walls, look.colours.interface, 1.8 * fine);
+  strokeEdges(context, screen, stage.walls, look.colours.interface, 1.8 * fine, bends);
   context.setLineDash([]);
   if (!many) strokeTriangles(context, screen, corners, large, look.colours.outline, 1.5 * view.ratio);
   look.places.forEach(([x, y, size], k) => {
@@ -245,7 +265,34 @@ function toScreen(points, view, width, height) {
   return screen;
 }
 
-function strokeEdges(context, screen, edges, colour, thickness) {
+// A side from where the path is to a vertex v, curved if its edge is.
+function sideTo(context, screen, { stage, controls }, u, v) {
+  const at = stage.bendOf.size ? bendAt(stage, u, v) : -1;
+  if (at < 0) context.lineTo(screen[2 * v], screen[2 * v + 1]);
+  else context.quadraticCurveTo(controls[at], controls[at + 1], screen[2 * v], screen[2 * v + 1]);
+}
+
+// Triangles at curved edges: what straight sides have left or covered is painted over.
+function fillCurved(context, screen, bends, look) {
+  const { corners, codes, bent } = bends.stage, edges = bends.stage.bends;
+  const css = (p) => `rgb(${p & 255},${(p >> 8) & 255},${(p >> 16) & 255})`;
+  context.fillStyle = look.colours.canvas;
+  for (let i = 0; i < edges.length; i += 2) {
+    context.beginPath();
+    context.moveTo(screen[2 * edges[i]], screen[2 * edges[i] + 1]);
+    sideTo(context, screen, bends, edges[i], edges[i + 1]);
+    context.fill();
+  }
+  for (const t of bent) {
+    context.fillStyle = isInverted(bends.stage, t) ? look.colours.inverted : css(look.shade(codes[t]));
+    context.beginPath();
+    context.moveTo(screen[2 * corners[3 * t]], screen[2 * corners[3 * t] + 1]);
+    for (let k = 0; k < 3; k++) sideTo(context, screen, bends, corners[3 * t + k], corners[3 * t + ((k + 1) % 3)]);
+    context.fill();
+  }
+}
+
+function strokeEdges(context, screen, edges, colour, thickness, bends) {
   const { width, height } = context.canvas;
   context.strokeStyle = colour;
   context.lineWidth = thickness;
@@ -255,7 +302,7 @@ function strokeEdges(context, screen, edges, colour, thickness) {
     const ux = screen[u], uy = screen[u + 1], vx = screen[v], vy = screen[v + 1];
     if ((ux < 0 && vx < 0) || (uy < 0 && vy < 0) || (ux > width && vx > width) || (uy > height && vy > height)) continue;
     context.moveTo(ux, uy);
-    context.lineTo(vx, vy);
+    sideTo(context, screen, bends, edges[i], edges[i + 1]);
   }
   context.stroke();
 }
