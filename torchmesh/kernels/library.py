@@ -91,6 +91,13 @@ def call(name: str, result: type | None, *arguments: object) -> int:
     return value
 
 
+def release(name: str, handle: int) -> None:
+    """Call the function of the library that frees what `handle` stands for, whichever loops are in use."""
+    loops = _load()
+    if loops is not None:
+        getattr(loops, name)(ADDRESS(handle))
+
+
 def pointer(values: "Tensor | None") -> int | None:
     """Where the numbers of a contiguous tensor begin; None stays None."""
     if values is None:

@@ -1,0 +1,132 @@
+// The stiffness matrix of linear elements, cut into the block of the unknown vertices and that of their known neighbours.
+#include "common.hpp"
+
+namespace torchmesh {
+namespace {
+
+struct Entry {
+    std::int32_t column;
+    double value;
+};
+
+// Sorts the entries of a row by column, those of one column in the order in which they came, and adds these up.
+std::int64_t summed(Entry* row, std::int64_t count) {
+    for (std::int64_t i = 1; i < count; ++i) {
+        const Entry entry = row[i];
+        std::int64_t k = i;
+        for (; k > 0 && row[k - 1].column > entry.column; --k) row[k] = row[k - 1];
+        row[k] = entry;
+    }
+    std::int64_t last = 0;
+    for (std::int64_t i = 1; i < count; ++i) {
+        if (row[i].column == row[last].column)
+            row[last].value += row[i].value;
+        else
+            row[++last] = row[i];
+    }
+    return count ? last + 1 : 0;
+}
+
+// Compressed rows of entries that come in any order, for the rows whose number is not negative.
+struct Rows {
+    std::vector<std::int64_t> start;
+    std::vector<Entry> entries;
+
+    // each(take) calls take(row, column, value) for every entry, each time in the same order.
+    template <class Each>
+    Rows(std::int64_t size, const Each& each) : start(size + 1, 0) {
+        each([&](std::int64_t row, std::int64_t, double) { ++start[row + 1]; });
+        for (std::int64_t r = 0; r < size; ++r) start[r + 1] += start[r];
+        entries.resize(start[size]);
+        std::vector<std::int64_t> next(start.begin(), start.end() - 1);
+        each([&](std::int64_t row, std::int64_t column, double value) {
+            entries[next[row]++] = {std::int32_t(column), value};
+        });
+    }
+};
+
+}  // namespace
+}  // namespace torchmesh
+
+// The weights of the edges at the unknown vertices: compressed rows, one for each, with the columns in order.  An edge
+// has the sum of the weights (count,) that its triangles (count, 3) give it, and none where the sum is 0.  There is
+// room for 6 count entries.  The result is their number.
+TM_EXPORT std::int64_t tm_edge_weights(const std::int64_t* triangles, std::int64_t count, const double* at_a,
+                                       const double* at_b, const double* at_c, const std::uint8_t* known,
+                                       std::int64_t vertices, std::int32_t* offsets, std::int32_t* columns,
+                                       double* values) {
+    using torchmesh::Entry, torchmesh::Rows, torchmesh::summed;
+    std::vector<std::int32_t> number(vertices);
+    std::int32_t size = 0;
+    for (std::int64_t v = 0; v < vertices; ++v) number[v] = known[v] ? -1 : size++;
+    const double* weights[3] = {at_a, at_b, at_c};
+    const auto edges = [&](bool turned, const auto& take) {
+        for (int corner = 0; corner < 3; ++corner) {
+            for (std::int64_t t = 0; t < count; ++t) {
+                std::int64_t i = triangles[3 * t + (corner + 1) % 3], j = triangles[3 * t + (corner + 2) % 3];
+                if (turned) std::swap(i, j);
+                if (number[i] >= 0) take(number[i], j, weights[corner][t]);
+            }
+        }
+    };
+    Rows ahead(size, [&](const auto& take) { edges(false, take); });
+    Rows back(size, [&](const auto& take) { edges(true, take); });
+    std::int64_t used = 0;
+    offsets[0] = 0;
+    for (std::int32_t r = 0; r < size; ++r) {
+        Entry *a = ahead.entries.data() + ahead.start[r], *b = back.entries.data() + back.start[r];
+        const Entry *a_end = a + summed(a, ahead.start[r + 1] - ahead.start[r]),
+                    *b_end = b + summed(b, back.start[r + 1] - back.start[r]);
+        while (a < a_end || b < b_end) {
+            const bool one = b == b_end || (a < a_end && a->column <= b->column);
+            const bool two = a == a_end || (b < b_end && b->column <= a->column);
+            const std::int32_t column = one ? a->column : b->column;
+            const double value = one && two ? a->value + b->value : one ? a->value : b->value;
+            a += one;
+            b += two;
+            if (value != 0) {
+                columns[used] = column;
+                values[used++] = value;
+            }
+        }
+        offsets[r + 1] = std::int32_t(used);
+    }
+    return used;
+}
+
+// The blocks K_II, with the diagonal `total` (rows,), and minus K_IB, from the rows of tm_edge_weights: compressed rows
+// again, whose columns count the unknown vertices, and the known ones.
+TM_EXPORT void tm_split_stiffness(const std::int32_t* offsets, const std::int32_t* columns, const double* values,
+                                  std::int64_t rows, const double* total, const std::uint8_t* known,
+                                  std::int64_t vertices, std::int32_t* inner_offsets, std::int32_t* inner_columns,
+                                  double* inner_values, std::int32_t* outer_offsets, std::int32_t* outer_columns,
+                                  double* outer_values) {
+    std::vector<std::int32_t> place(vertices);
+    std::int32_t unknown = 0, fixed = 0;
+    for (std::int64_t v = 0; v < vertices; ++v) place[v] = known[v] ? fixed++ : unknown++;
+    std::int32_t in = 0, out = 0;
+    inner_offsets[0] = outer_offsets[0] = 0;
+    for (std::int32_t r = 0; r < rows; ++r) {
+        bool before = true;
+        const auto diagonal = [&] {
+            before = false;
+            if (total[r] == 0) return;
+            inner_columns[in] = r;
+            inner_values[in++] = total[r];
+        };
+        for (std::int32_t k = offsets[r]; k < offsets[r + 1]; ++k) {
+            const std::int32_t column = place[columns[k]];
+            if (known[columns[k]]) {
+                outer_columns[out] = column;
+                outer_values[out++] = values[k];
+            } else {
+                if (before && column > r) diagonal();
+                inner_columns[in] = column;
+                inner_values[in++] = -values[k];
+            }
+        }
+        if (before) diagonal();
+        inner_offsets[r + 1] = in;
+        outer_offsets[r + 1] = out;
+    }
+}
