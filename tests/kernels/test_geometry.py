@@ -9,7 +9,10 @@ from meshes import delaunay, grid, jittered, ring, scrambled
 from torchmesh import join
 from torchmesh.kernels import library
 from torchmesh.mesh import connectivity, measure
+from torchmesh.mesh.ragged import spread
+from torchmesh.mesh.units import centre_and_unit
 from torchmesh.triangulating import arrays, crossings
+from torchmesh.warping.boundary_path import first_flat
 
 
 def batches(generator):
@@ -31,6 +34,16 @@ def test_quality_has_the_same_bits_and_angles_nearly(generator):
                     lambda m=mesh: vars(measure.quality(m)).values()):  # fmt: skip
             for expected, got in zip(*both(run), strict=True):
                 torch.testing.assert_close(got, expected, rtol=0, atol=0, equal_nan=True)
+
+
+def test_triangles_are_first_flat_at_the_same_time(generator):
+    for mesh in batches(generator):
+        noise = torch.randn(mesh.points.shape, generator=generator, dtype=torch.float64)
+        _, unit = centre_and_unit(mesh.points, mesh.point_offsets)
+        goals = [mesh.points + 0.1 * spread(unit, mesh.point_offsets)[:, None] * noise, -mesh.points, 0 * mesh.points]
+        for goal in goals:
+            expected, got = both(lambda m=mesh, g=goal: first_flat(m, g))
+            torch.testing.assert_close(got, expected, rtol=4e-16, atol=0, equal_nan=True)
 
 
 def test_twins_are_the_same(generator):

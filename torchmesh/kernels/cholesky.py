@@ -4,9 +4,8 @@ import weakref
 from collections.abc import Iterator
 
 import numpy as np
-import torch
 
-from .library import ADDRESS, INT32, INT64, call, pointer, release, threads
+from .library import ADDRESS, INT32, INT64, call, release, threads
 from .stiffness import CompressedRows
 
 # A call of the library factorises so many rows, a fraction of a second, so that Python sees interrupts.
@@ -29,8 +28,8 @@ class CompiledFactors:
 
     def solve(self, right: np.ndarray, out: np.ndarray) -> None:
         """Put the solutions for `right` (I, k) into the rows of the blocks in `out` (I, k)."""
-        right = torch.from_numpy(np.ascontiguousarray(right))
-        call("tm_solve_factorised", None, ADDRESS(self._handle), ADDRESS(pointer(right)), INT32(right.shape[1]),
+        right = np.ascontiguousarray(right)
+        call("tm_solve_factorised", None, ADDRESS(self._handle), ADDRESS(right.ctypes.data), INT32(right.shape[1]),
              INT32(threads()), ADDRESS(out.ctypes.data))  # fmt: skip
 
 

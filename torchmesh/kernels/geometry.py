@@ -1,7 +1,8 @@
 """Quality, angles, twins and segments that meet, compiled.
 
-Each function is the twin, to the bit, of the one that its docstring names; arguments are as there.  Only angles may
-differ in the last bit, since torch does not always round a square root to the nearest number.
+Each function is the twin, to the bit, of the one that its docstring names; arguments are as there.  Only angles and
+the times of `first_flat` may differ in the last bit, since torch does not always round a square root to the nearest
+number.
 """
 
 import numpy as np
@@ -24,6 +25,18 @@ def shapes(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
     angle, ratio = torch.empty((2, len(triangles)), dtype=torch.float64)
     _over_triangles("tm_shapes", points, triangles, angle, ratio)
     return angle, ratio
+
+
+def first_flat(
+    points: Tensor, target: Tensor, triangles: Tensor, triangle_offsets: Tensor, centre: Tensor, unit: Tensor
+) -> Tensor:
+    """(T,) `boundary_path.first_flat` on the way from points to target, both (V, 2); centre (B, 2) and unit (B,)."""
+    flat = torch.empty(len(triangles), dtype=torch.float64)
+    numbers = [v.to(torch.float64).contiguous() for v in (points, target, centre, unit)]
+    whole = triangles.contiguous(), triangle_offsets.contiguous()
+    call("tm_first_flat", None, *(ADDRESS(pointer(v)) for v in (*numbers, *whole)), INT64(len(unit)),
+         ADDRESS(pointer(flat)))  # fmt: skip
+    return flat
 
 
 def twins(triangles: Tensor) -> Tensor:

@@ -55,8 +55,12 @@ def checked_points(points: Any) -> Tensor:
 
 def fit_positions(xyz: Tensor) -> Tensor:
     """(V,) bool: every coordinate of the point is finite, and small enough to compute areas with."""
-    # In single precision the limit would be infinite.
-    return (xyz.abs() <= _LARGEST).all(1) & xyz.isfinite().all(1)
+    fit = xyz.abs() <= _LARGEST
+    if xyz.dtype != torch.float64:
+        # In single precision the limit is infinite.
+        fit &= xyz.isfinite()
+    # A reduction over two columns takes many times as long.
+    return fit[:, 0] & fit[:, 1] if xyz.shape[1] == 2 else fit.all(1)
 
 
 def checked_positions(xyz: Tensor, faces: Tensor) -> Tensor:

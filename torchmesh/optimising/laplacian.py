@@ -80,9 +80,10 @@ def harmonic_extension(
     point_offsets  (B+1,) the rows of each mesh
     source         (V, k) the right-hand side f; None means zero
 
-    Returns (V, k).  Each mesh has a sparse direct factorisation of its own (compiled; for large meshes, and without the
-    compiled loops, by SuperLU with a minimum-degree ordering): one factorisation of the whole batch would order its
-    columns by all the meshes, so that the rounding of one mesh would depend on the others.  Raises RuntimeError where a mesh's matrix is singular.
+    Returns (V, k).  Each mesh has a sparse direct factorisation of its own: one of the whole batch would order its
+    columns by all the meshes, so that the rounding of one mesh would depend on the others.  It is compiled; large
+    meshes, and all where there are no compiled loops, are left to SuperLU with a minimum-degree ordering.  Raises
+    RuntimeError where a mesh's matrix is singular.
     """
     system = ExtensionSystem(triangles, weights, known, point_offsets)
     return system.extended(values, source)
@@ -174,8 +175,9 @@ def factorised(rows: CompressedRows, ends: np.ndarray, compiled: bool) -> list[F
         block = values[start:end], columns[start:end] - first, starts[first : last + 1] - start
         matrix = csc_matrix(block, shape=(last - first, last - first))
         # Without pivots, as the symmetry wants it.
-        symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        factors.append(BlockFactors(first, last, splu(matrix, **symmetric)))
+        options = {"SymmetricMode": True}
+        lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        factors.append(BlockFactors(first, last, lu))
     return factors
 
 

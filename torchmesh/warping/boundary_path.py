@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..kernels import geometry
+from ..kernels.library import library_for
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
@@ -46,6 +49,8 @@ def first_flat(batch: MeshBatch, target: Tensor) -> Tensor:
         least = worst_of_samples(batch, -first_flat(sampled(batch), target))
         return -spread_to_halves(batch, *least)
     centre, unit = centre_and_unit(batch.points, batch.point_offsets)
+    if library_for(batch.points) is not None:
+        return geometry.first_flat(batch.points, target, batch.triangles, batch.triangle_offsets, centre, unit)
     # Dividing by a power of two changes no root, and keeps every product within the range of numbers.
     scale = spread(unit, batch.point_offsets)[:, None]
     here = corners((batch.points.to(torch.float64) - spread(centre, batch.point_offsets)) / scale, batch.triangles)
@@ -82,20 +87,15 @@ class BoundaryPath:
     proportion to t.  Every other vertex goes straight.  If a body that turns by 180 degrees went straight, it would
     shrink to a point on the way.
 
-    start, end     (V, 2) float64
-    body           (V,) int64, the body of each vertex; L, the number of bodies, for vertices in none
-    angle          (L+1,) float64, the angle by which each body turns, in radians in (-pi, pi]; the last is 0
-    origin, goal   (L+1, 2) float64, the centre of each body at t = 0 and at t = 1
-    point_offsets  (B+1,) int64
+    batch       the batch at t = 0
+    start, end  (V, 2) float64, the positions at t = 0 and at t = 1
+    straight    whether all vertices go straight
     """
 
+    batch: MeshBatch
     start: Tensor
     end: Tensor
-    body: Tensor
-    angle: Tensor
-    origin: Tensor
-    goal: Tensor
-    point_offsets: Tensor
+    straight: bool
 
     @classmethod
     def of(cls, batch: MeshBatch, new_points: Tensor, straight: bool = False) -> "BoundaryPath":
@@ -104,10 +104,60 @@ class BoundaryPath:
         straight  whether all vertices go straight
         """
         start, end = batch.points.to(torch.float64), new_points.to(torch.float64)
-        end = torch.where(batch.fixed[:, None], end, start)
+        return cls(batch, start, torch.where(batch.fixed[:, None], end, start), straight)
+
+    @cached_property
+    def bodies(self) -> "Bodies | None":
+        """The bodies that turn; None: nothing does.  A way that is gone in one step does not ask for them."""
+        if self.straight:
+            return None
+        found = Bodies.of(self.batch, self.start, self.end)
+        return found if bool((found.angle != 0).any()) else None
+
+    @property
+    def turns(self) -> bool:
+        """Whether any body turns."""
+        return self.bodies is not None
+
+    def at(self, t: Tensor) -> Tensor:
+        """(V, 2) the positions at t (B,), one in [0, 1] for each mesh; free vertices stay at their start."""
+        if bool((t >= 1).all()):
+            return self.end
+        t = spread(t.to(torch.float64), self.batch.point_offsets)[:, None]
+        position = torch.where(t >= 1, self.end, torch.lerp(self.start, self.end, t))
+        if self.bodies is None:
+            return position
+        bodies = self.bodies
+        rows = ((bodies.angle[bodies.body] != 0) & (t[:, 0] < 1)).nonzero().squeeze(1)
+        t, body = t[rows], bodies.body[rows]
+        angle = bodies.angle[body]
+        p = self.start[rows] - bodies.origin[body]
+        # The end of a vertex, turned back, is where it would go if the body did not turn.
+        back = _turned(self.end[rows] - bodies.goal[body], -angle)
+        centre = torch.lerp(bodies.origin[body], bodies.goal[body], t)
+        position = position.clone()
+        position[rows] = centre + _turned(torch.lerp(p, back, t), angle * t[:, 0])
+        return position
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The bodies of a `BoundaryPath`, L in number.
+
+    body          (V,) int64, the body of each vertex; L for vertices in none
+    angle         (L+1,) float64, the angle by which each body turns, in radians in (-pi, pi]; the last is 0
+    origin, goal  (L+1, 2) float64, the centre of each body at t = 0 and at t = 1
+    """
+
+    body: Tensor
+    angle: Tensor
+    origin: Tensor
+    goal: Tensor
+
+    @classmethod
+    def of(cls, batch: MeshBatch, start: Tensor, end: Tensor) -> "Bodies":
+        """The bodies that go from `start` to `end`, (V, 2) float64."""
         body, count = _bodies(batch)
-        if straight:
-            body, count = torch.zeros_like(body), 0
         rows = (body < count).nonzero().squeeze(1)
         rows = rows[body[rows].sort(stable=True).indices]
         offsets = offsets_from_counts(torch.bincount(body[rows], minlength=count)[:count])
@@ -126,37 +176,7 @@ class BoundaryPath:
         # The bits of a vectorised arctangent would depend on where in a vector a number stands.
         angles = [math.atan2(c, d) if r else 0.0 for c, d, r in zip(*(v.tolist() for v in (cross, dot, rigid)))]  # noqa: B905
         nowhere = start.new_zeros((1, 2))
-        return cls(
-            start,
-            end,
-            body,
-            start.new_tensor([*angles, 0.0]),
-            torch.cat([origin, nowhere]),
-            torch.cat([goal, nowhere]),
-            batch.point_offsets,
-        )
-
-    @property
-    def turns(self) -> bool:
-        """Whether any body turns."""
-        return bool((self.angle != 0).any())
-
-    def at(self, t: Tensor) -> Tensor:
-        """(V, 2) the positions at t (B,), one in [0, 1] for each mesh; free vertices stay at their start."""
-        t = spread(t.to(torch.float64), self.point_offsets)[:, None]
-        position = torch.where(t >= 1, self.end, torch.lerp(self.start, self.end, t))
-        if not self.turns:
-            return position
-        rows = ((self.angle[self.body] != 0) & (t[:, 0] < 1)).nonzero().squeeze(1)
-        t, body = t[rows], self.body[rows]
-        angle = self.angle[body]
-        p = self.start[rows] - self.origin[body]
-        # The end of a vertex, turned back, is where it would go if the body did not turn.
-        back = _turned(self.end[rows] - self.goal[body], -angle)
-        centre = torch.lerp(self.origin[body], self.goal[body], t)
-        position = position.clone()
-        position[rows] = centre + _turned(torch.lerp(p, back, t), angle * t[:, 0])
-        return position
+        return cls(body, start.new_tensor([*angles, 0.0]), torch.cat([origin, nowhere]), torch.cat([goal, nowhere]))
 
 
 def _turned(points: Tensor, angle: Tensor) -> Tensor:

@@ -51,8 +51,18 @@ def _warp_system(batch: MeshBatch, new_points: Tensor, hold: Tensor | None) -> t
     """The factorised system of the warp, and (V, 2) the fixed vertices at their goal, the others where they are."""
     fixed = with_held(batch, hold).fixed
     target = boundary_goal(replace(batch, fixed=fixed), new_points, "femwarp")
+    return _system(batch, fixed), target
+
+
+def _system(batch: MeshBatch, fixed: Tensor) -> ExtensionSystem:
+    """The factorised stiffness of the vertices that are not `fixed` (V,) bool."""
     triangles, weights = stiffness(batch)
-    return ExtensionSystem(triangles, weights, fixed, batch.point_offsets), target
+    return ExtensionSystem(triangles, weights, fixed, batch.point_offsets)
+
+
+def carried(batch: MeshBatch, goal: Tensor) -> MeshBatch:
+    """`femwarp` for callers that know that the batch is valid and that `goal` (V, 2) fits it; without a gradient."""
+    return batch.with_points(_system(batch, batch.fixed).extended(goal))
 
 
 def stiffness(batch: MeshBatch) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:

@@ -33,6 +33,22 @@ TM_INLINE double angle_at(Corner p, Corner q, Corner r) {
     return arctangent(std::abs(ux * vy - uy * vx), ux * vx + uy * vy);
 }
 
+// As `least_positive_root` in torchmesh/warping/boundary_path.py.
+TM_INLINE double least_positive_root(double a, double b, double c) {
+    double size = std::max(std::max(std::abs(a), std::abs(b)), std::abs(c));
+    if (std::isnan(a) || std::isnan(b) || std::isnan(c)) size = std::numeric_limits<double>::quiet_NaN();
+    size = size > 0 ? size : 1.0;
+    a /= size;
+    b /= size;
+    c /= size;
+    const double discriminant = b * b - 4 * a * c;
+    const double s = std::sqrt(std::max(discriminant, 0.0));
+    const double falling = b > 0 ? -(b + s) : 2 * c, divisor = b > 0 ? 2 * a : s - b;
+    const bool exists = discriminant >= 0 && (b > 0 ? a < 0 : divisor > 0);
+    if (!(c > 0)) return 0.0;
+    return exists ? falling / divisor : std::numeric_limits<double>::infinity();
+}
+
 // The sign of the rows a, b, c.
 TM_INLINE int sign(const double* points, std::int64_t a, std::int64_t b, std::int64_t c) {
     const Corner p = at(points, a), q = at(points, b), r = at(points, c);
@@ -76,6 +92,29 @@ TM_EXPORT void tm_measure(const double* points, const std::int64_t* triangles, s
         const double squares = ((abx * abx + aby * aby) + (bcx * bcx + bcy * bcy)) + (acx * acx + acy * acy);
         ratio[i] = size > 0 ? squares / ((4 * torchmesh::SQRT3) * size) : std::numeric_limits<double>::infinity();
         upright[i] = torchmesh::orientation(a.x, a.y, b.x, b.y, c.x, c.y) > 0;
+    }
+}
+
+// When each triangle is first flat on the straight way from points to target, both about the centres of the meshes and
+// in their units.
+TM_EXPORT void tm_first_flat(const double* points, const double* target, const double* centre, const double* unit,
+                             const std::int64_t* triangles, const std::int64_t* offsets, std::int64_t meshes,
+                             double* flat) {
+    using torchmesh::Corner;
+    for (std::int64_t m = 0; m < meshes; ++m) {
+        const double x = centre[2 * m], y = centre[2 * m + 1], scale = unit[m];
+        for (std::int64_t t = offsets[m]; t < offsets[m + 1]; ++t) {
+            Corner p[3], w[3];
+            for (int k = 0; k < 3; ++k) {
+                const Corner from = at(points, triangles[3 * t + k]), to = at(target, triangles[3 * t + k]);
+                p[k] = {(from.x - x) / scale, (from.y - y) / scale};
+                w[k] = {(to.x - from.x) / scale, (to.y - from.y) / scale};
+            }
+            const double px = p[1].x - p[0].x, py = p[1].y - p[0].y, qx = p[2].x - p[0].x, qy = p[2].y - p[0].y;
+            const double dx = w[1].x - w[0].x, dy = w[1].y - w[0].y, ex = w[2].x - w[0].x, ey = w[2].y - w[0].y;
+            flat[t] = torchmesh::least_positive_root(dx * ey - dy * ex, px * ey - py * ex + dx * qy - dy * qx,
+                                                     px * qy - py * qx);
+        }
     }
 }
 
