@@ -89,6 +89,8 @@ def overlaps(before: Side, after: Side, wanted: np.ndarray | None = None, moment
             i[some][shared], j[some][shared], area[shared], None if integrals is None else integrals[shared]
         )
 
+    if len(starts) == 1:
+        return clipped(0)
     # numpy lets other threads run while it computes.
     with ThreadPoolExecutor(torch.get_num_threads()) as threads:
         return _joined(list(threads.map(clipped, starts)))

@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 from ..errors import ConvergenceError
+from ..kernels import projection
+from ..kernels.library import library
 from ..mesh.ragged import segment_ids
 from ..optimising.conjugate_gradients import solve
 from .overlaps import Overlaps, signed_areas
@@ -59,6 +61,17 @@ class MassMatrix:
         r = self.rows
         return (self.total * u).index_add(0, r.rows, r.weights * u.index_select(0, r.columns))
 
+    def solved(
+        self, right: Tensor, diagonal: Tensor, offsets: Tensor, tolerance: Tensor | float, max_iterations: int
+    ) -> tuple[Tensor, Tensor, Tensor] | None:
+        """What the compiled solver finds, as in `conjugate_gradients.solve`; None where torch is to do the work."""
+        if library() is None:
+            return None
+        r = self.rows
+        return projection.solved(
+            r.rows, r.columns, r.weights, diagonal, offsets, right, float(tolerance), max_iterations
+        )
+
     def unknowns(self, right: Tensor) -> Tensor:
         """(V, C) the solution for each column of `right` (V, C); raises ConvergenceError."""
         columns = []
@@ -76,6 +89,11 @@ class MassMatrix:
 def mixed_mass(before: Side, after: Side, shared: Overlaps, sign: np.ndarray) -> SparseRows:
     """R (V', V) of the overlaps, which have moments; `sign` (P,) is -1 where the triangle before is inverted."""
     assert shared.moments is not None
+    shape = (len(after.x), len(before.x))
+    if library() is not None:
+        here, there = ((side.x, side.y, side.triangles) for side in (after, before))
+        made = projection.mixed_mass(here, there, (shared.after, shared.before), shared.moments, sign)
+        return SparseRows.summed([Entries(*made)], shape)
     origin = before.triangles[shared.before, 0]
     hats = [_hats(side, rows, origin, before) for side, rows in ((after, shared.after), (before, shared.before))]
     m1, mx, my, mxx, mxy, myy = shared.moments.T * sign
@@ -89,7 +107,7 @@ def mixed_mass(before: Side, after: Side, shared: Overlaps, sign: np.ndarray) ->
             )  # fmt: skip
             i, j = after.triangles[shared.after, p], before.triangles[shared.before, q]
             entries.append(Entries(i, j, value))
-    return SparseRows.summed(entries, (len(after.x), len(before.x)))
+    return SparseRows.summed(entries, shape)
 
 
 def _hats(

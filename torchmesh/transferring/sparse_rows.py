@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InvalidMeshError
+from ..kernels import projection
+from ..kernels.library import library
 
 # Far above the rounding of a sum of weights.
 _ROUNDING = 1e-12
@@ -24,6 +26,8 @@ class Entries(NamedTuple):
     @classmethod
     def joined(cls, parts: "Sequence[Entries]") -> "Entries":
         """The entries of all parts."""
+        if len(parts) == 1:
+            return parts[0]
         rows, columns, weights = (np.concatenate([part[k] for part in parts]) for k in range(3))
         return cls(rows, columns, weights)
 
@@ -58,6 +62,9 @@ class SparseRows:
         from scipy.sparse import coo_matrix
 
         entries = Entries.joined(parts)
+        if library() is not None:
+            row, column, weight = (torch.from_numpy(v) for v in projection.summed(entries, shape[0]))
+            return cls(row, column, weight, shape)
         # Rows are gathered by counting and sorted one by one: their sums do not depend on other rows.
         found = coo_matrix((entries.weights, (entries.rows, entries.columns)), shape=shape).tocsr()
         found.sum_duplicates()

@@ -331,7 +331,7 @@ def _projection(old: Side, new: Side, after: MeshBatch) -> Transfer:
     partly = np.zeros(len(new.x), bool)
     partly[new.triangles[np.abs(total - sizes) > _slack(new, sizes)]] = True
     rows = mixed_mass(old, new, shared, sign)
-    unused = np.setdiff1d(np.arange(len(new.x)), new.triangles)
+    unused = np.flatnonzero(np.bincount(new.triangles.reshape(-1), minlength=len(new.x)) == 0)
     if len(unused):
         # The mass matrix has a one for vertices of no triangle, so that these get the nearest value.
         near = nearest_vertices(old, new.x[unused], new.y[unused], new.vertex[unused])

@@ -79,19 +79,6 @@ TM_DISPATCH void add_hessian_product(const HessianTriangles& of, const double* u
     add_product(of, u, out);
 }
 
-TM_INLINE double inner_product(std::int64_t n, const double* TM_RESTRICT u, const double* TM_RESTRICT v) {
-    double sum[LANES] = {};
-    std::int64_t i = 0;
-    for (; i + LANES <= n; i += LANES)
-        for (int k = 0; k < LANES; ++k) sum[k] += u[i + k] * v[i + k];
-    for (; i < n; ++i) sum[i % LANES] += u[i] * v[i];
-    double total = 0;
-    for (double part : sum) total += part;
-    return total;
-}
-
-TM_DISPATCH double dot(std::int64_t n, const double* u, const double* v) { return inner_product(n, u, v); }
-
 // The triangles of one system, with rows of its own: those beyond its unknowns are that of one more number.
 HessianTriangles triangles_of(const SystemsArgument& all, std::int64_t system, std::vector<std::int32_t>& rows) {
     const std::int64_t from = all.triangle_offsets[system], count = all.triangle_offsets[system + 1] - from;
@@ -128,39 +115,15 @@ void solve(const SystemsArgument& all, std::int64_t system) {
 
 }  // namespace
 
+TM_DISPATCH double dot(std::int64_t n, const double* u, const double* v) { return inner_product(n, u, v); }
+
 Solution solve_with_hessian(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* diagonal,
                             const double* right, double tolerance, std::int64_t max_iterations, double* x) {
-    const auto size = static_cast<std::size_t>(n), whole = static_cast<std::size_t>(length);
-    std::vector<double> residual(right, right + n), direction(whole, 0.0), image(whole), inverse(size), shorter(size);
-    for (std::int64_t i = 0; i < n; ++i) {
-        x[i] = 0;
-        const double d = std::abs(diagonal[i]);
-        inverse[i] = d > 0 ? 1 / d : 0;
-        direction[i] = residual[i] * inverse[i];
-    }
-    double power = dot(n, residual.data(), direction.data());
-    const double goal = power * tolerance * tolerance;
-    Solution found{0, !(power > 0)};
-    while (!found.converged && found.iterations < max_iterations) {
-        std::fill(image.begin(), image.end(), 0.0);
-        add_hessian_product(of, direction.data(), image.data());
-        const double curvature = dot(n, direction.data(), image.data());
-        if (!(curvature > 0)) break;
-        const double step = power / curvature;
-        if (!(step > 0)) break;
-        for (std::int64_t i = 0; i < n; ++i) {
-            x[i] += step * direction[i];
-            residual[i] -= step * image[i];
-            shorter[i] = residual[i] * inverse[i];
-        }
-        const double before = power;
-        power = dot(n, residual.data(), shorter.data());
-        ++found.iterations;
-        found.converged = power <= goal;
-        const double again = before > 0 ? power / before : 0;
-        for (std::int64_t i = 0; i < n; ++i) direction[i] = shorter[i] + again * direction[i];
-    }
-    return found;
+    const auto product = [&](const double* u, double* image) {
+        std::fill(image, image + length, 0.0);
+        add_hessian_product(of, u, image);
+    };
+    return conjugate_gradients(n, length, product, diagonal, right, tolerance, max_iterations, x);
 }
 
 }  // namespace torchmesh

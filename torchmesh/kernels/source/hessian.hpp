@@ -3,7 +3,7 @@
 // The formulas are those of torchmesh/optimising/hessian.py, the steps those of optimising/conjugate_gradients.py.
 #pragma once
 
-#include "common.hpp"
+#include "conjugate_gradients.hpp"
 
 namespace torchmesh {
 
@@ -16,14 +16,8 @@ struct HessianTriangles {
     std::int64_t stride[4] = {};
 };
 
-struct Solution {
-    std::int64_t iterations;
-    bool converged;
-};
-
-// Solves H x = right, both (n,), by conjugate gradients until the preconditioned residual has fallen to `tolerance`
-// of what it was; `length` is that of the vectors that `rows` point into.  The absolute value of `diagonal` (n,) is the
-// preconditioner; where it is zero there is padding.
+// Solves H x = right by `conjugate_gradients`, whose arguments these are; `length` is that of the vectors that `rows`
+// point into.
 Solution solve_with_hessian(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* diagonal,
                             const double* right, double tolerance, std::int64_t max_iterations, double* x);
 
