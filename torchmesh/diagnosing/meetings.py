@@ -43,23 +43,25 @@ def crossings(walls: Walls, edges: np.ndarray, kind: np.ndarray, most: int) -> l
     pairs = long[crossing_pairs(points, segments[long], group[long], enough=10 * most)]
     if len(pairs) < most and len(long) < len(segments):
         pairs = crossing_pairs(points, segments, group, enough=10 * most)
+    i, j = pairs.T
+    # A vertex alone stands after all edges.
+    worse = np.maximum(kind[i], kind[j])
+    told = np.concatenate([np.flatnonzero(worse == k)[:most] for k in range(_SINGLE + 1)])
+    told.sort()
+    i, j, worse = i[told], j[told], worse[told]
+    places = _meeting_positions(points, given[i], given[j])
     found: list[Finding] = []
-    told = dict.fromkeys(ProblemKind, 0)
-    for i, j in pairs.tolist():
-        (a, b), (c, d) = given[[i, j]].tolist()
-        single = kind[j] == _SINGLE
-        problem = ProblemKind.VERTEX_OUTSIDE if single else _PROBLEMS[max(kind[i], kind[j])]
-        told[problem] += 1
-        if told[problem] > most:
-            continue
-        place = position_of(points[c]) if c == d else _meeting_position(points, (a, b), (c, d))
-        one = f"the {_NAMES[kind[i]]} [{a}, {b}]"
-        if single:
-            text = f"the fixed vertex {c} lies on {one} at {text_of(place)}"
-            found.append(Finding(problem, text, (c, a, b), place))
+    for (a, b), (c, d), one, two, k, xy in zip(
+        *(v.tolist() for v in (given[i], given[j], kind[i], kind[j], worse, places)), strict=True
+    ):
+        place = (xy[0], xy[1])
+        edge = f"the {_NAMES[one]} [{a}, {b}]"
+        if k == _SINGLE:
+            text = f"the fixed vertex {c} lies on {edge} at {text_of(place)}"
+            found.append(Finding(ProblemKind.VERTEX_OUTSIDE, text, (c, a, b), place))
         else:
-            text = f"{one} and the {_NAMES[kind[j]]} [{c}, {d}] meet at about {text_of(place)}"
-            found.append(Finding(problem, text, (a, b, c, d), place))
+            text = f"{edge} and the {_NAMES[two]} [{c}, {d}] meet at about {text_of(place)}"
+            found.append(Finding(_PROBLEMS[k], text, (a, b, c, d), place))
     return found
 
 
@@ -115,15 +117,21 @@ def _segments(walls: Walls, edges: np.ndarray, kind: np.ndarray) -> tuple[np.nda
     return given[rows], segments[rows], kind[rows]
 
 
-def _meeting_position(points: np.ndarray, one: tuple[int, int], two: tuple[int, int]) -> tuple[float, float]:
-    """About where the two segments meet: their crossing, or the middle of what both have in common."""
-    (a, b), (c, d) = points[list(one)], points[list(two)]
-    scale = max(np.abs(np.stack([b - a, d - c])).max(), np.finfo(float).tiny)
+def _meeting_positions(points: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """(P, 2) about where the segments `one` and `two` (P, 2) meet: their crossing, or the middle of what is common.
+
+    A segment of no length meets the other where it lies.
+    """
+    a, b, c, d = (points[rows] for rows in (*one.T, *two.T))
+    scale = np.maximum(np.abs(b - a).max(1), np.abs(d - c).max(1)).clip(np.finfo(float).tiny)[:, None]
     p, q, r = (b - a) / scale, (d - c) / scale, (c - a) / scale
-    denominator = p[0] * q[1] - p[1] * q[0]
-    if abs(denominator) > 1e-12:
-        s = (r[0] * q[1] - r[1] * q[0]) / denominator
-        return position_of(a + min(max(s, 0.0), 1.0) * (b - a))
-    middle = np.stack([a, b, c, d])
-    middle = middle[np.argsort(middle @ (np.abs(p) > 0))][1:3]
-    return position_of(middle[0] + (middle[1] - middle[0]) / 2)
+    cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+    across = np.abs(cross) > 1e-12
+    s = (r[:, 0] * q[:, 1] - r[:, 1] * q[:, 0]) / np.where(across, cross, 1.0)
+    crossing = a + s.clip(0.0, 1.0)[:, None] * (b - a)
+    # The four ends in their order along the line: the second and the third bound what is common.
+    ends = np.stack([a, b, c, d], 1)
+    order = np.argsort((ends * (np.abs(p) > 0)[:, None]).sum(2), 1)
+    second, third = (np.take_along_axis(ends, order[:, k, None, None], 1)[:, 0] for k in (1, 2))
+    place = np.where(across[:, None], crossing, second + (third - second) / 2)
+    return np.where((two[:, 0] == two[:, 1])[:, None], c, place)

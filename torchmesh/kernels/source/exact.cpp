@@ -176,20 +176,52 @@ void integers(const double* xy, int count, Integer* out) {
     for (int i = 0; i < count; ++i) out[i] = integer(xy[i], -least);
 }
 
+// Puts the coordinates into a unit, a power of two, in which the largest is near 1.  No sign changes, and products are far
+// from underflow.  False where a coordinate would lose bits, or where nothing would change.
+bool in_unit(const double* xy, int count, double* out) {
+    double largest = 0;
+    for (int i = 0; i < count; ++i) largest = std::max(largest, std::abs(xy[i]));
+    int exponent;
+    std::frexp(largest, &exponent);
+    if (largest == 0 || exponent == 0) return false;
+    for (int i = 0; i < count; ++i) {
+        out[i] = std::ldexp(xy[i], -exponent);
+        if (exponent > 0 && xy[i] != 0 && !std::isnormal(out[i])) return false;
+    }
+    return true;
+}
+
+template <int COUNT, class Filter, class Sign>
+int exact_sign(const double* xy, const Filter& filter, const Sign& sign) {
+    double unit[COUNT];
+    if (in_unit(xy, COUNT, unit)) {
+        const int known = filter(unit);
+        if (known != 0) return known;
+        xy = unit;
+    }
+    if (in_range(xy, COUNT)) return sign(xy);
+    Integer whole[COUNT];
+    integers(xy, COUNT, whole);
+    return sign(whole);
+}
+
 }  // namespace
 
 int exact_orientation(const double* xy) {
-    if (in_range(xy, 6)) return orientation_sign<Expansion>(xy);
-    Integer whole[6];
-    integers(xy, 6, whole);
-    return orientation_sign<Integer>(whole);
+    const auto filter = [](const double* v) {
+        const double left = (v[2] - v[0]) * (v[5] - v[1]), right = (v[3] - v[1]) * (v[4] - v[0]);
+        return filtered_sign(left - right, (std::abs(left) + std::abs(right)) * ORIENTATION_BOUND);
+    };
+    return exact_sign<6>(xy, filter, [](const auto* v) {
+        return orientation_sign<std::conditional_t<std::is_same_v<decltype(v), const Integer*>, Integer, Expansion>>(v);
+    });
 }
 
 int exact_incircle(const double* xy) {
-    if (in_range(xy, 8)) return incircle_sign<Expansion>(xy);
-    Integer whole[8];
-    integers(xy, 8, whole);
-    return incircle_sign<Integer>(whole);
+    const auto filter = [](const double*) { return 0; };
+    return exact_sign<8>(xy, filter, [](const auto* v) {
+        return incircle_sign<std::conditional_t<std::is_same_v<decltype(v), const Integer*>, Integer, Expansion>>(v);
+    });
 }
 
 }  // namespace torchmesh

@@ -22,6 +22,12 @@ int exact_incircle(const double* xy);     // the same, and dx, dy
 
 inline int sign_of(double value) { return (value > 0) - (value < 0); }
 
+// The sign of a value whose error is less than `bound`; 0 where that is not enough to tell.
+TM_INLINE int filtered_sign(double value, double bound) {
+    // Not where anything has overflowed, as no number is above infinity; NaN is above none.
+    return std::abs(value) > (bound < UNDERFLOW_BOUND ? UNDERFLOW_BOUND : bound) ? sign_of(value) : 0;
+}
+
 inline bool all_finite(const double* xy, int count) {
     for (int i = 0; i < count; ++i)
         if (!std::isfinite(xy[i])) return false;
@@ -33,8 +39,8 @@ inline bool all_finite(const double* xy, int count) {
 TM_INLINE int orientation(double ax, double ay, double bx, double by, double cx, double cy) {
     const double left = (bx - ax) * (cy - ay), right = (by - ay) * (cx - ax), determinant = left - right;
     const double bound = (std::abs(left) + std::abs(right)) * ORIENTATION_BOUND;
-    // Not where anything has overflowed, as no number is above infinity; NaN is above none.
-    if (std::abs(determinant) > (bound < UNDERFLOW_BOUND ? UNDERFLOW_BOUND : bound)) return sign_of(determinant);
+    const int known = filtered_sign(determinant, bound);
+    if (known != 0) return known;
     const double xy[6] = {ax, ay, bx, by, cx, cy};
     return all_finite(xy, 6) ? exact_orientation(xy) : 0;
 }
@@ -49,7 +55,8 @@ TM_INLINE int incircle(double ax, double ay, double bx, double by, double cx, do
     const double magnitude = (a2 * (std::abs(bc_l) + std::abs(bc_r)) + b2 * (std::abs(ca_l) + std::abs(ca_r))) +
                              c2 * (std::abs(ab_l) + std::abs(ab_r));
     const double bound = magnitude * INCIRCLE_BOUND;
-    if (std::abs(determinant) > (bound < UNDERFLOW_BOUND ? UNDERFLOW_BOUND : bound)) return sign_of(determinant);
+    const int known = filtered_sign(determinant, bound);
+    if (known != 0) return known;
     return all_finite(xy, 8) ? exact_incircle(xy) : 0;
 }
 
