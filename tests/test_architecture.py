@@ -27,7 +27,7 @@ ALLOWED = {
     "layering": "mesh errors status",
     "flipping": "optimising mesh kernels errors status",
     "untangling": "optimising triangulating mesh errors status",
-    "warping": "optimising mesh errors status",
+    "warping": "optimising mesh kernels errors status",
     "diagnosing": "triangulating mesh errors status",
     "smoothing": "flipping optimising mesh errors status triangulating",
     "remeshing": "smoothing flipping untangling optimising mesh errors status",
