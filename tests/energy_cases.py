@@ -1,6 +1,6 @@
 """Energies of every kind, by name, for the tests of the modules that work with them."""
 
-from torchmesh.optimising.energies import InverseMeanRatio, Regularised, UntangleBeta
+from torchmesh.optimising.energies import InverseMeanRatio, Regularised, TotalLiftedContent, UntangleBeta
 
 ENERGIES = {
     "imr": InverseMeanRatio(),
@@ -12,6 +12,7 @@ ENERGIES = {
     "untangle-beta": UntangleBeta(0.3),
     "regularised": Regularised(0.5),
     "regularised, small eps": Regularised(1e-3),
+    "lifted": TotalLiftedContent(0.1),
     "regularised, no area": Regularised(0.1, theta=0.0),
 }
 

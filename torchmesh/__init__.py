@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from .smoothing.smoothing import SmoothOptions, smooth
     from .status import Status
     from .transferring.transfer import TransferInfo, transfer, transfer_matrix
-    from .untangling.options import UntangleOptions
+    from .untangling.options import NewtonWays, UntangleOptions
     from .untangling.untangling import untangle
     from .warping.boundary_path import largest_step
     from .warping.femwarp import femwarp, relax
@@ -104,7 +104,7 @@ _NAMES = {
     "smoothing.smoothing": "SmoothOptions smooth",
     "status": "Status",
     "transferring.transfer": "TransferInfo transfer transfer_matrix",
-    "untangling.options": "UntangleOptions",
+    "untangling.options": "NewtonWays UntangleOptions",
     "untangling.untangling": "untangle",
     "warping.boundary_path": "largest_step",
     "warping.femwarp": "femwarp relax",
@@ -183,6 +183,7 @@ __all__ = [
     "MetricField",
     "MissingDependencyError",
     "MoveInfo",
+    "NewtonWays",
     "Piece",
     "PolishInfo",
     "PolishOptions",

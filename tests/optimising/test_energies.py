@@ -14,6 +14,7 @@ from torchmesh.mesh.triangle import Corners, inverse_mean_ratio
 from torchmesh.optimising.energies import (
     InverseMeanRatio,
     Regularised,
+    TotalLiftedContent,
     UntangleBeta,
     slopes_and_curvatures,
 )
@@ -176,3 +177,9 @@ def test_energies_are_frozen(name):
     field = dataclasses.fields(ENERGIES[name])[0].name
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(ENERGIES[name], field, 1.0)
+
+
+def test_lifted_content_tends_to_the_absolute_area_from_above(generator):
+    _, stretch, det = jacobians(generator)
+    torch.testing.assert_close(TotalLiftedContent(1e-12).value(stretch, det), det.abs(), rtol=0, atol=1e-5)
+    assert bool((TotalLiftedContent(0.1).value(stretch, det) > det.abs()).all())

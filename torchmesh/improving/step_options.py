@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from ..untangling.options import UntangleOptions
+from ..untangling.options import NewtonWays, UntangleOptions
 
 
 def _check_least(options: object, **least: float) -> None:
@@ -27,6 +27,8 @@ class Rounds:
     paper_quiet          or after so many rounds in a row without a flip in which L-BFGS took its least number of steps
     last_untangling      the regularised functional as the last resort where edges may flip, and beside a fault: its
                          work is bounded, since hardly a mesh gets so far that can be untangled
+    newton               the second-order ways where triangles stay, for the meshes that are tangled still
+    newton_beside_faults  the same for meshes with a fault that does not prove them impossible
     rings_round_faults   where a fault leaves triangles inverted, so many rings of vertices round them stay as they are
     """
 
@@ -36,8 +38,10 @@ class Rounds:
     paper_patience: int = 10
     paper_quiet: int = 4
     last_untangling: UntangleOptions = field(
-        default_factory=lambda: UntangleOptions(size_sweeps=(100,), max_iterations=60, work=400_000)
+        default_factory=lambda: UntangleOptions(size_sweeps=(100,), max_iterations=60, work=400_000, newton=None)
     )
+    newton: NewtonWays = field(default_factory=NewtonWays)
+    newton_beside_faults: NewtonWays = field(default_factory=lambda: NewtonWays((100,), max_continuations=12))
     rings_round_faults: int = 2
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@
    +-- average: neighbours' means, triangles kept    +-> flips that lower the smoother's energy <-+
    |-- flip and untangle-beta, in turn               |   smooth (inverse mean ratio) -------------+
    |-- retriangulate cavities                        |        | no flip is left, or quality settles
-   +-- regularised, triangles kept       ------------+        +-> smooth with a ceiling -> polish the worst -> certify
+   +-- regularised, newton: triangles kept ----------+        +-> smooth with a ceiling -> polish the worst -> certify
 
 Every mesh goes its own way; the meshes that take the same stage are worked on together, as one batch.
 """
@@ -162,7 +162,8 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         bounded &= state.faulty | ~walled
     # Nor do they anything for quads, whose edges stay.
     bounded &= state.faulty | (counts_from_offsets(state.mesh.quad_offsets) == 0)
-    for at, options in ((hopeful & bounded, o.rounds.last_untangling), (hopeful & ~bounded, UntangleOptions())):
+    unbounded = UntangleOptions(newton=None)
+    for at, options in ((hopeful & bounded, o.rounds.last_untangling), (hopeful & ~bounded, unbounded)):
         if not bool(at.any()):
             continue
         state, _ = run("regularised", attempt(regularised(options), _given), state, at)
@@ -170,6 +171,12 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         elsewhere = segment_any((state.averaged != state.given.points).any(1), state.given.point_offsets)
         again = regularised(replace(options, size_sweeps=(100,)))
         state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & at & elsewhere)
+    if not o.may_flip:
+        # A boundary that crosses itself is seldom that of a valid mesh, so that less is tried there.
+        for at, ways in ((~state.faulty, o.rounds.newton), (state.faulty, o.rounds.newton_beside_faults)):
+            options = UntangleOptions("newton", newton=ways)
+            at = at & state.tangled & ~state.impossible
+            state, _ = run("newton", attempt(regularised(options), _given), state, at)
     if o.may_flip:
         # Where fewer triangles are inverted than before, cavities round them are smaller, and may have a boundary that
         # does not cross itself, as in strips that lie over themselves.

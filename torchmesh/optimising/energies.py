@@ -147,6 +147,26 @@ class Regularised:
         return phi, (1 - self.theta) * inverse, 2 * self.theta * det * inverse - phi / root
 
 
+@dataclass(frozen=True)
+class TotalLiftedContent:
+    """sqrt(det^2 + alpha stretch + alpha^2), the area of the triangle when it is lifted into more dimensions.
+
+    Du, Aigerman, Zhou, Kovalsky, Yan, Kaufman & Ju, Lifting simplices to find injectivity, ACM Transactions on
+    Graphics 39, 2020.  As alpha falls to 0 it becomes the absolute area, whose sum is lowest where no triangle is
+    inverted.  It is no barrier: a triangle may pass through zero area, which it may have to.
+    """
+
+    stretches: ClassVar[bool] = True
+    alpha: Tensor | float = 1e-2
+
+    def value(self, stretch: Tensor, det: Tensor) -> Tensor:
+        return torch.sqrt(det * det + self.alpha * stretch + self.alpha * self.alpha)
+
+    def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        phi = self.value(stretch, det)
+        return phi, 0.5 * self.alpha / phi, det / phi
+
+
 def slopes_and_curvatures(energy: Energy, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor]:
     """The first and second derivatives of phi, by autograd of `value`.
 

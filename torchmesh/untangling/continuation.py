@@ -102,7 +102,7 @@ def _lower_epsilon(
         here = eps[rows]
         before, lowest, inverted, (energy, gradient, iterations, evaluations, status) = turns.take(rows, here)
         result = MoveInfo(energy, gradient, iterations, evaluations, status)
-        eps[rows] = _next_eps(here, lowest, before, result.energy)
+        eps[rows] = next_epsilon(here, lowest, before, result.energy)
         _record(info, rows, result)
         # Neither the vertices nor epsilon move any more.
         stuck = (result.iterations == 0) | ((eps[rows] >= 0.999 * here) & (result.status == Status.SETTLED))
@@ -201,7 +201,7 @@ class _Stall:
         return no_gain & (lowest < -options.stall_depth * eps)
 
 
-def _next_eps(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Tensor:
+def next_epsilon(eps: Tensor, lowest: Tensor, before: Tensor, after: Tensor) -> Tensor:
     """(B,) the next epsilon from the smallest determinant and the energies at this one (Garanzha et al. 2021)."""
     sigma = (1 - after / before).clamp_min(0.1)
     root = torch.sqrt(eps * eps + lowest * lowest)

@@ -1,12 +1,13 @@
-"""The size of the triangles around a vertex, smoothed over the mesh."""
+"""Targets of a tangled mesh: the size of the triangles around a vertex, smoothed; or the shapes of a reference."""
 
 import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
-from ..mesh.means import Means
+from ..mesh.means import Means, vertex_size
 from ..mesh.ragged import counts_from_offsets, segment_sum, spread
-from ..mesh.triangle import SQRT3, corners, signed_area
+from ..mesh.triangle import SQRT3, Corners, corners, signed_area
+from ..optimising.jacobian import Target, target_of
 
 
 def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
@@ -29,3 +30,13 @@ def local_size(batch: MeshBatch, sweeps: int = 100) -> Tensor:
     target = means.of_corners(size).square() * (SQRT3 / 4)
     factor = (enclosed.abs() / segment_sum(target, offsets)).sqrt()
     return size * spread(factor, batch.point_offsets)
+
+
+def own_target(batch: MeshBatch, reference: MeshBatch) -> tuple[Target, Tensor]:
+    """The reference's triangles as targets (T,), and their sizes (V,), scaled per mesh to the area enclosed now."""
+    before = corners(reference.points.to(torch.float64), reference.triangles)
+    now = corners(batch.points.to(torch.float64), batch.triangles)
+    areas = [segment_sum(signed_area(t), batch.triangle_offsets) for t in (now, before)]
+    factor = (areas[0].abs() / areas[1]).sqrt()
+    scaled = Corners(*(v * spread(factor, batch.triangle_offsets) for v in before))
+    return target_of(scaled), vertex_size(reference) * spread(factor, batch.point_offsets)

@@ -1,6 +1,6 @@
 """How `untangle` works: its options."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ..mesh.interfaces import Interfaces, check_interfaces
@@ -8,11 +8,48 @@ from ..optimising.lbfgs_options import LbfgsOptions
 
 
 @dataclass(frozen=True)
+class NewtonWays:
+    """The second-order ways of `untangle`, for the meshes that are tangled still.
+
+    size_sweeps        the size fields of the targets, which are tried in turn (see `UntangleOptions`); det is in units
+                       of the target's area
+    betas              bounds above which areas are pushed, one after the other
+    pushes             linear systems at most for one of them
+    alphas             of the total lifted content, one after the other
+    steps_per_alpha    Newton steps at most for one of them
+    steps_per_epsilon  Newton steps at most for one epsilon of the regularised functional
+    max_continuations  values of epsilon at most
+    push_every         after so many of them areas are pushed from where the mesh is then
+    """
+
+    size_sweeps: tuple[int, ...] = (100, 1000, 20)
+    betas: tuple[float, ...] = (0.3, 0.1, 0.03)
+    pushes: int = 150
+    alphas: tuple[float, ...] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
+    steps_per_alpha: int = 60
+    steps_per_epsilon: int = 10
+    max_continuations: int = 100
+    push_every: int = 6
+
+    def __post_init__(self) -> None:
+        for name in ("pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "push_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"NewtonWays.{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("alphas", "betas"):
+            if not all(v > 0 for v in getattr(self, name)):
+                raise ValueError(f"NewtonWays.{name} must all be positive, not {getattr(self, name)!r}")
+        if not self.size_sweeps or min(self.size_sweeps) < 0:
+            raise ValueError(f"NewtonWays.size_sweeps must be numbers, none negative, not {self.size_sweeps!r}")
+
+
+@dataclass(frozen=True)
 class UntangleOptions:
     """How `untangle` works.
 
     method             "regularised": the foldover-free functional with a local size for each triangle's
-                       target (Garanzha et al. 2021); "beta": Knupp's untangle-beta (Kim 2017, equation 2)
+                       target (Garanzha et al. 2021), then as "newton"; "newton": the second-order ways alone, which
+                       solve harder meshes; "beta": Knupp's untangle-beta (Kim 2017, equation 2)
+    newton             the second-order ways, for meshes that are tangled still; None: "regularised" leaves them so
     beta               beta of "beta": the area below which a triangle is pushed, as a part of the
                        mesh's mean absolute area
     local              beta is a part of at most twice the usual area nearby; meant for graded meshes
@@ -43,7 +80,8 @@ class UntangleOptions:
     interfaces         "free": the ends of constrained edges move like any vertex; otherwise they stay
     """
 
-    method: Literal["regularised", "beta"] = "regularised"
+    method: Literal["regularised", "newton", "beta"] = "regularised"
+    newton: NewtonWays | None = field(default_factory=NewtonWays)
     beta: float = 0.01
     local: bool = False
     absolute_beta: float | None = None
@@ -64,8 +102,10 @@ class UntangleOptions:
     interfaces: Interfaces | None = None
 
     def __post_init__(self) -> None:
-        if self.method not in ("regularised", "beta"):
-            raise ValueError(f"UntangleOptions.method must be 'regularised' or 'beta', not {self.method!r}")
+        if self.method not in ("regularised", "newton", "beta"):
+            raise ValueError(f"UntangleOptions.method must be 'regularised', 'newton' or 'beta', not {self.method!r}")
+        if self.method == "newton" and self.newton is None:
+            raise ValueError("UntangleOptions.method 'newton' needs its ways: UntangleOptions.newton must not be None")
         for name in ("max_iterations", "max_continuations", "stall_patience"):
             if getattr(self, name) < 1:
                 raise ValueError(f"UntangleOptions.{name} must be at least 1, not {getattr(self, name)}")

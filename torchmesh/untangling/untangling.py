@@ -9,20 +9,18 @@ from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, put, triangle_mesh
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import holding, released
-from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.quads import inverted_quads, quad_mesh, sampled
-from ..mesh.ragged import segment_any, segment_count, segment_sum, spread
-from ..mesh.triangle import Corners, corners, signed_area
+from ..mesh.ragged import segment_any, segment_count, spread
 from ..mesh.unfit import unfit_meshes
-from ..optimising.jacobian import Target, target_of
+from ..optimising.jacobian import Target
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import pack
 from ..optimising.targets import ideal
 from ..status import Status
 from .beta import untangle_beta
-from .continuation import try_regularised
-from .local_size import local_size
+from .continuation import judged, try_regularised
+from .local_size import local_size, own_target
 from .options import UntangleOptions
 
 
@@ -63,8 +61,11 @@ def untangle(
     if options.method == "beta":
         moved, info = untangle_beta(batch, may_move, options, monitor)
         return _as_given(moved, given), _refused(info, unfit)
+    if options.method == "newton":
+        moved, info = _persisted(batch, batch, _untouched(batch), options, tangled, may_move, reference)
+        return _as_given(moved, given), _refused(info, unfit)
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
-    target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else _own_target(batch, reference)
+    target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else own_target(batch, reference)
     moved, info = try_regularised(batch, packing, target, size, options, monitor, settle=reference is not None)
     rest = options.size_sweeps[1:] if reference is None else options.size_sweeps
     for sweeps in rest:
@@ -78,7 +79,46 @@ def untangle(
         now = moved.select(again)
         moved = put(moved, again, put(now, fewer, tried.select(fewer)) if bool(fewer.any()) else now)
         info = _merged(info, again, its, fewer)
+    again = (info.status != Status.VALID) & ~unfit
+    if options.newton is not None and bool(again.any()):
+        moved, info = _persisted(batch, moved, info, options, again, may_move, reference)
     return _as_given(moved, given), _refused(info, unfit)
+
+
+def _persisted(
+    batch: MeshBatch,
+    moved: MeshBatch,
+    info: MoveInfo,
+    options: UntangleOptions,
+    at: Tensor,
+    may_move: Tensor,
+    reference: MeshBatch | None,
+) -> tuple[MeshBatch, MoveInfo]:
+    """`moved` and `info` after the second-order ways from `batch`, on the meshes `at` (B,) bool.
+
+    Meshes with an inverted triangle that cannot move are left out: they cannot be untangled.
+    """
+    from .persisting import persist
+
+    assert options.newton is not None
+    held = ~may_move[batch.triangles].any(1)
+    at = at & ~segment_any(~upright(batch) & held, batch.triangle_offsets)
+    if not bool(at.any()):
+        return moved, info
+    tried, steps = persist(batch, may_move, options.newton, at, reference)
+    fewer = at & (_inverted(tried) < _inverted(moved))
+    if bool(fewer.any()):
+        moved = put(moved, fewer, tried.select(fewer))
+    info = replace(info, iterations=info.iterations + steps)
+    # The energies of the ways differ, so that none is told.
+    energy, gradient = (torch.where(fewer, torch.nan, column) for column in (info.energy, info.gradient))
+    return judged(moved, moved, replace(info, energy=energy, gradient=gradient))
+
+
+def _untouched(batch: MeshBatch) -> MoveInfo:
+    nothing = torch.zeros(len(batch), dtype=torch.int64, device=batch.points.device)
+    energy = torch.full((len(batch),), torch.nan, dtype=torch.float64, device=nothing.device)
+    return MoveInfo(energy, energy.clone(), nothing, nothing.clone(), nothing + int(Status.STALLED))
 
 
 def _as_given(moved: MeshBatch, given: MeshBatch) -> MeshBatch:
@@ -155,13 +195,3 @@ def _local_target(batch: MeshBatch, sweeps: int) -> tuple[Target, Tensor]:
     """Equilateral targets (T,) of local size, and that size (V,), in the batch's unit."""
     size = local_size(batch, sweeps)
     return ideal(batch, size[batch.triangles].mean(1)), size
-
-
-def _own_target(batch: MeshBatch, reference: MeshBatch) -> tuple[Target, Tensor]:
-    """The reference's triangles as targets (T,), and their sizes (V,), scaled per mesh to the area enclosed now."""
-    before = corners(reference.points.to(torch.float64), reference.triangles)
-    now = corners(batch.points.to(torch.float64), batch.triangles)
-    areas = [segment_sum(signed_area(t), batch.triangle_offsets) for t in (now, before)]
-    factor = (areas[0].abs() / areas[1]).sqrt()
-    scaled = Corners(*(v * spread(factor, batch.triangle_offsets) for v in before))
-    return target_of(scaled), vertex_size(reference) * spread(factor, batch.point_offsets)

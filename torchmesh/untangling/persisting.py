@@ -1,0 +1,203 @@
+"""Second-order ways for the meshes that L-BFGS leaves tangled: triangles are kept, vertices move.
+
+    pushed         areas are pushed above a bound, by Levenberg-Marquardt: strong turns, in a few dozen steps
+    lifted         total lifted content with falling alpha (Du et al. 2020), by Newton's method: triangles may pass
+                   through zero area.  What it leaves is pushed
+    regularised    the functional with falling epsilon (Garanzha et al. 2021), by Newton's method: maps onto long and
+                   narrow domains.  That epsilon comes down to zero is proved under the condition that each minimisation
+                   lowers the energy enough (Garanzha, Kaporin, Kudryavtseva, Protais & Sokolov, Practical lowest
+                   distortion mapping, arXiv 2201.12112, 2022), which L-BFGS misses where triangles have to shear much.
+                   Now and then what is left is pushed
+
+Each mesh is worked on alone, from the Tutte embedding (`relax`), and from where it was.  The first way that makes it
+valid ends the work; otherwise the positions with the fewest inverted triangles count.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..mesh.batch import MeshBatch
+from ..mesh.measure import upright
+from ..mesh.units import centre_and_unit
+from ..optimising.energies import Regularised, TotalLiftedContent
+from ..optimising.jacobian import Target
+from ..optimising.laplacian import harmonic_extension
+from ..optimising.levenberg import LevenbergOptions, push_areas
+from ..optimising.projected_newton import NewtonSystem, ProjectedOptions, minimise_by_projection
+from ..optimising.targets import ideal
+from .continuation import next_epsilon
+from .local_size import local_size, own_target
+from .options import NewtonWays
+
+# The place of the reference's shapes among the numbers of sweeps.
+_OWN = -1
+
+
+@dataclass
+class Best:
+    """The positions of a mesh with the fewest inverted triangles so far.
+
+    points      (V, 2) in the caller's unit
+    inverted    their number, by exact signs
+    iterations  the Newton steps of all tries
+    """
+
+    mesh: MeshBatch
+    points: Tensor
+    inverted: int
+    iterations: int = 0
+
+    def take(self, points: Tensor) -> bool:
+        """Keep the points if they are better; are they valid?"""
+        left = int((~upright(self.mesh.with_points(points))).sum())
+        if left < self.inverted:
+            self.points, self.inverted = points, left
+        return left == 0
+
+
+class _Task:
+    """One mesh in a unit of its own, and the moves between both units.
+
+    reference  the same triangles, all upright, whose shapes are targets, too
+    """
+
+    def __init__(
+        self, mesh: MeshBatch, free: Tensor, options: NewtonWays, best: Best, reference: MeshBatch | None = None
+    ) -> None:
+        self.mesh, self.free, self.options, self.best, self.reference = mesh, free, options, best, reference
+        centre, unit = centre_and_unit(mesh.points, mesh.point_offsets)
+        self.centre, self.unit = centre, unit
+        self.systems: dict[int, tuple[NewtonSystem, Tensor]] = {}
+
+    def scaled(self, points: Tensor) -> Tensor:
+        return (points.to(torch.float64) - self.centre) / self.unit
+
+    def give(self, points: Tensor) -> bool:
+        """Take scaled points back to the caller's unit, and keep them if they are better; are they valid?"""
+        there = (points * self.unit + self.centre).to(self.mesh.points)
+        return self.best.take(torch.where(self.free[:, None], there, self.mesh.points))
+
+    def system(self, sweeps: int) -> tuple[NewtonSystem, Tensor]:
+        """The system with targets of the size field of so many sweeps, and their areas (T,) relative to the mean.
+
+        With _OWN sweeps the targets are the triangles of the reference.
+        """
+        if sweeps not in self.systems:
+            if sweeps == _OWN:
+                assert self.reference is not None
+                target = _scaled(own_target(self.mesh, self.reference)[0], self.unit)
+            else:
+                target = ideal(self.mesh, local_size(self.mesh, sweeps)[self.mesh.triangles].mean(1) / self.unit)
+            area = 1 / torch.as_tensor(target.m)
+            system = NewtonSystem(self.scaled(self.mesh.points), self.mesh.triangles, self.free, target)
+            self.systems[sweeps] = system, (area / area.mean())[self.free[self.mesh.triangles].any(1)]
+        return self.systems[sweeps]
+
+
+def _scaled(target: Target, unit: Tensor) -> Target:
+    """The target in another unit of length."""
+    g11, g12, g22, m = (torch.as_tensor(v) * unit.square() for v in target)
+    return Target(g11, g12, g22, m)
+
+
+def persist(
+    batch: MeshBatch, may_move: Tensor, options: NewtonWays, at: Tensor, reference: MeshBatch | None = None
+) -> tuple[MeshBatch, Tensor]:
+    """Try all ways on the meshes `at` (B,) bool, each alone.
+
+    may_move   (V,) bool
+    reference  the same triangles, all upright, whose shapes are targets, too
+
+    Returns the batch, and the Newton steps of each mesh (B,).
+    """
+    steps = torch.zeros(len(batch), dtype=torch.int64)
+    points = batch.points.clone()
+    for b in at.nonzero().squeeze(1).tolist():
+        mesh = batch[b]
+        rows = slice(int(batch.point_offsets[b]), int(batch.point_offsets[b + 1]))
+        best = _solve(mesh, may_move[rows], options, None if reference is None else reference[b])
+        points[rows], steps[b] = best.points.to(points), best.iterations
+    return batch.with_points(points), steps.to(batch.points.device)
+
+
+def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, reference: MeshBatch | None = None) -> Best:
+    mesh, free = mesh.to("cpu"), free.cpu()
+    best = Best(mesh, mesh.points, int((~upright(mesh)).sum()))
+    embedded = _embedded(mesh, free)
+    # The sizes of scrambled triangles tell nothing.
+    sized = mesh.with_points(embedded)
+    task = _Task(sized, free, options, best, None if reference is None else reference.to("cpu"))
+    sizes = options.size_sweeps if reference is None else (_OWN, *options.size_sweeps)
+    if task.give(task.scaled(embedded)):
+        return best
+    starts = [embedded] if torch.equal(embedded, mesh.points) else [embedded, mesh.points]
+    for start in starts:
+        for way, sweeps in (
+            (_pushed, sizes[0]),
+            (_lifted, sizes[0]),
+            *((_regularised, sweeps) for sweeps in sizes),
+            *((_lifted, sweeps) for sweeps in sizes[1:]),
+        ):
+            if way(task, task.scaled(start), sweeps):
+                return best
+    return best
+
+
+def _embedded(mesh: MeshBatch, free: Tensor) -> Tensor:
+    """(V, 2) every free vertex at the mean of its neighbours."""
+    one = torch.ones(len(mesh.triangles), dtype=torch.float64)
+    return harmonic_extension(mesh.triangles, (one, one, one), ~free, mesh.points, mesh.point_offsets)
+
+
+def _pushed(task: _Task, points: Tensor, sweeps: int) -> bool:
+    """Areas pushed above falling bounds; are the triangles upright in the end?"""
+    options, (system, _) = task.options, task.system(sweeps)
+    for least in options.betas:
+        found = push_areas(system, points, least, LevenbergOptions(max_iterations=options.pushes))
+        points = found.points
+        task.best.iterations += found.iterations
+        if bool((found.det > 0).all()):
+            break
+    return task.give(points)
+
+
+def _regularised(task: _Task, points: Tensor, sweeps: int) -> bool:
+    """Falling epsilon; are the triangles upright in the end?"""
+    options, (system, _) = task.options, task.system(sweeps)
+    newton = ProjectedOptions(max_iterations=options.steps_per_epsilon)
+    eps = 1.0
+    for turn in range(options.max_continuations):
+        found = minimise_by_projection(system, points, Regularised(eps), newton, enough=True)
+        points, lowest = found.points, float(found.det.min())
+        task.best.iterations += found.iterations
+        if lowest > 0:
+            break
+        new = _next(eps, lowest, found.start, found.energy)
+        if found.iterations == 0 and new >= 0.999 * eps:
+            break
+        if turn % options.push_every == options.push_every - 1 and _pushed(task, points, sweeps):
+            return True
+        eps = min(eps, new)
+    return task.give(points)
+
+
+def _next(eps: float, lowest: float, before: float, after: float) -> float:
+    """`next_epsilon` of one mesh."""
+    return float(next_epsilon(*(torch.tensor([v], dtype=torch.float64) for v in (eps, lowest, before, after))))
+
+
+def _lifted(task: _Task, points: Tensor, sweeps: int) -> bool:
+    """Falling alpha; are the triangles upright in the end?"""
+    options, (system, area) = task.options, task.system(sweeps)
+    settings = ProjectedOptions(options.steps_per_alpha, 1e-9, 1e-10, floor=0.0, common_floor=1e-8)
+    for alpha in options.alphas:
+        system.weight = area
+        found = minimise_by_projection(system, points, TotalLiftedContent(alpha), settings, enough=True)
+        system.weight = torch.ones_like(area)
+        points = found.points
+        task.best.iterations += found.iterations
+        if bool((found.det > 0).all()):
+            break
+    return task.give(points) or _pushed(task, points, sweeps)
