@@ -208,3 +208,15 @@ def test_hard_tangles_with_quads_are_mended_where_edges_may_flip_too(number):
     better, report = tm.improve(mesh)
     assert report.valid.all()
     assert torch.equal(better.quads, mesh.quads)
+
+
+def test_a_motion_splits_no_quad_and_says_how_vertices_may_come_on_arrival():
+    mesh = mixed(4, 4, 2)
+    goal = mesh.points + mesh.points.new_tensor([0.1, 0.0]) * (mesh.points[:, 1:] > 0.9)
+    kept, _ = tm.deform(mesh, goal)
+    split, report = tm.deform(mesh, goal, options=tm.DeformOptions(improve=ImproveOptions(quads="split")))
+    assert torch.equal(kept.points, split.points)
+    assert torch.equal(split.quads, mesh.quads)
+    report.check()
+    with pytest.raises(ValueError, match="take topology 'flip', and improve"):
+        tm.deform(mesh, goal, options=tm.DeformOptions(improve=ImproveOptions(topology="full")))

@@ -166,6 +166,24 @@ def test_the_matrix_does_what_transfer_does(where):
     torch.testing.assert_close(matrix @ values, transfer(before, after, values, where), rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("method", ["linear", "nearest"])
+def test_the_matrix_does_so_between_meshes_with_quads_too(method):
+    points, triangles = meshes.grid_arrays(3, 2)
+    quads, rest = np.array([[0, 3, 4, 1], [4, 7, 8, 5]]), []
+    for row in triangles.tolist():
+        if not any(set(row) <= set(quad) for quad in quads.tolist()):
+            rest.append(row)
+    mixed = MeshBatch.from_arrays(points, np.array(rest), quads=quads)
+    inner = ~mixed.fixed
+    moved = mixed.with_points(torch.where(inner[:, None], mixed.points + 0.07, mixed.points))
+    plain = MeshBatch.from_arrays(points, triangles)
+    for before, after in ((mixed, moved), (mixed, plain), (plain, mixed), (join([mixed, plain]), join([plain, moved]))):
+        values = torch.rand(len(before.triangles) + len(before.quads), 2, dtype=torch.float64)
+        matrix = transfer_matrix(before, after, "triangles", method)
+        expected = transfer(before, after, values, "triangles", method)
+        torch.testing.assert_close(matrix @ values, expected, rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize(
     ("where", "method"), [("points", "linear"), ("points", "conservative"), ("triangles", "linear")]
 )

@@ -119,11 +119,13 @@ def _deform(
     trail: bool,
 ) -> tuple[MeshBatch, DeformReport]:
     if has_quads(batch):
-        if options.improve.topology == "full" or options.improve.quads == "split":
+        if options.improve.topology == "full":
             raise ValueError(
-                "deform of meshes with quads keeps every quad: topology 'full' and quads='split' do not go"
+                "deform of meshes with quads keeps number and order of vertices: "
+                "take topology 'flip', and improve(after, ImproveOptions(topology='full')) on arrival"
             )
-        improve_too = replace(options.improve, local_repair=None)
+        # No quad is ever inverted here, so that there is none to split.
+        improve_too = replace(options.improve, local_repair=None, quads="keep")
         if options.improve.reference is not None:
             improve_too = replace(improve_too, reference=halved(options.improve.reference))
         reference = None if options.reference is None else halved(options.reference)

@@ -17,7 +17,7 @@ from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
-from ..mesh.quads import halved, has_quads, refuse_quads
+from ..mesh.quads import halved, has_quads
 from ..mesh.ragged import counts_from_offsets, owner_of
 from ..mesh.validation import fit_positions
 from ..optimising.linear_map import LinearMap
@@ -25,7 +25,7 @@ from .location import locate, nearest_triangles, nearest_vertices
 from .overlaps import Overlaps, overlaps, signed_areas
 from .pairs import Side, both_sides
 from .projection import MassMatrix, mixed_mass
-from .quads import from_halves, to_halves
+from .quads import from_halves, matrix_of_elements, to_halves
 from .sparse_rows import Entries, SparseRows
 
 Where = Literal["points", "triangles"]
@@ -177,17 +177,17 @@ def _checked_values(values: Any, rows: int) -> Tensor:
 def transfer_matrix(
     before: MeshBatch, after: MeshBatch, where: Where = "points", method: Literal["linear", "nearest"] = "linear"
 ) -> Tensor:
-    """The sparse matrix of `transfer`: (V', V) for points, (T', T) for triangles, float64, COO, on the CPU.
+    """The sparse matrix of `transfer`: (V', V) for points, (T' + Q', T + Q) for triangles, float64, COO, on the CPU.
 
     Its products with values are what `transfer` returns, up to rounding.  Arguments and errors are those of `transfer`;
     a projection ("conservative" at points) has no sparse matrix and raises ValueError.
     """
     if method == "conservative" and where == "points":
         raise ValueError("a projection has no sparse matrix: use transfer(..., method='conservative')")
-    if where == "triangles":
-        for batch in (before, after):
-            refuse_quads(batch, "transfer_matrix of triangles")
-    return prepared(halved(before), halved(after), where, method).rows.matrix()
+    matrix = prepared(halved(before), halved(after), where, method).rows.matrix()
+    if where == "triangles" and (has_quads(before) or has_quads(after)):
+        return matrix_of_elements(before, after, matrix, method != "nearest")
+    return matrix
 
 
 def prepared(before: MeshBatch, after: MeshBatch, where: Where = "points", method: Method = "linear") -> Transfer:
