@@ -21,6 +21,9 @@ from ..mesh.batch import MeshBatch, constrained_half_edges
 from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
 from ..mesh.measure import upright
 
+# A first row is of at least so many quadrilaterals, side by side.
+_SIDE_BY_SIDE = 3
+
 
 @dataclass(frozen=True)
 class LayerOptions:
@@ -119,7 +122,7 @@ def find_layers(batch: MeshBatch, options: LayerOptions | None = None, known: Te
     options = options or LayerOptions()
     walk = _Walk(batch, options)
     walk.leave_high_triangles()
-    if not len(walk.front):
+    if len(walk.front) < _SIDE_BY_SIDE:
         return _joined([], batch)
     is_upright = upright(batch) if known is None else known
     found = _walked(walk, batch, is_upright)
@@ -139,6 +142,8 @@ def _walked(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
         if len(rows) < options.rows:
             quads = quads.select(_in_company(quads, options))
         walk.begun = walk.begun if rows else quads.wall
+        if not len(quads):
+            break
         walk.go_on(quads)
         rows.append(quads)
     return _rooted(_joined(rows, batch), options)
