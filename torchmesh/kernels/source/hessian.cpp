@@ -24,14 +24,8 @@ struct SystemsArgument {
 
 constexpr int TILE = 128;
 
-struct Tile {
-    double d[4][TILE], f[4][TILE], by_stretch[TILE], by_det[TILE];
-};
-
-TM_INLINE double at(const HessianTriangles& of, int k, std::int64_t t) { return of.target[k][of.stride[k] * t]; }
-
 TM_INLINE void add_product(const HessianTriangles& of, const double* TM_RESTRICT u, double* TM_RESTRICT out) {
-    Tile tile;
+    double d[4][TILE], f[4][TILE];
     const std::int32_t* row[6];
     for (int k = 0; k < 6; ++k) row[k] = of.rows[k];
     for (std::int64_t start = 0; start < of.count; start += TILE) {
@@ -39,38 +33,30 @@ TM_INLINE void add_product(const HessianTriangles& of, const double* TM_RESTRICT
         for (int i = 0; i < n; ++i) {
             const std::int64_t t = start + i;
             const double x = u[row[0][t]], y = u[row[1][t]];
-            tile.d[0][i] = u[row[2][t]] - x;
-            tile.d[1][i] = u[row[3][t]] - y;
-            tile.d[2][i] = u[row[4][t]] - x;
-            tile.d[3][i] = u[row[5][t]] - y;
+            d[0][i] = u[row[2][t]] - x;
+            d[1][i] = u[row[3][t]] - y;
+            d[2][i] = u[row[4][t]] - x;
+            d[3][i] = u[row[5][t]] - y;
+        }
+        const double *TM_RESTRICT m00 = of.column(0) + start, *TM_RESTRICT m01 = of.column(1) + start,
+                     *TM_RESTRICT m02 = of.column(2) + start, *TM_RESTRICT m03 = of.column(3) + start,
+                     *TM_RESTRICT m11 = of.column(4) + start, *TM_RESTRICT m12 = of.column(5) + start,
+                     *TM_RESTRICT m13 = of.column(6) + start, *TM_RESTRICT m22 = of.column(7) + start,
+                     *TM_RESTRICT m23 = of.column(8) + start, *TM_RESTRICT m33 = of.column(9) + start;
+        for (int i = 0; i < n; ++i) {
+            f[0][i] = (m00[i] * d[0][i] + m01[i] * d[1][i]) + (m02[i] * d[2][i] + m03[i] * d[3][i]);
+            f[1][i] = (m01[i] * d[0][i] + m11[i] * d[1][i]) + (m12[i] * d[2][i] + m13[i] * d[3][i]);
+            f[2][i] = (m02[i] * d[0][i] + m12[i] * d[1][i]) + (m22[i] * d[2][i] + m23[i] * d[3][i]);
+            f[3][i] = (m03[i] * d[0][i] + m13[i] * d[1][i]) + (m23[i] * d[2][i] + m33[i] * d[3][i]);
         }
         for (int i = 0; i < n; ++i) {
             const std::int64_t t = start + i;
-            const double g11 = at(of, 0, t), g12 = at(of, 1, t), g22 = at(of, 2, t), m = at(of, 3, t);
-            const double e1x = of.edges[0][t], e1y = of.edges[1][t], e2x = of.edges[2][t], e2y = of.edges[3][t];
-            const double d1x = tile.d[0][i], d1y = tile.d[1][i], d2x = tile.d[2][i], d2y = tile.d[3][i];
-            // The first derivatives of stretch and det by the edges.
-            const double s1x = 2 * (g11 * e1x + g12 * e2x), s1y = 2 * (g11 * e1y + g12 * e2y),
-                         s2x = 2 * (g22 * e2x + g12 * e1x), s2y = 2 * (g22 * e2y + g12 * e1y);
-            const double a1x = m * e2y, a1y = -m * e2x, a2x = -m * e1y, a2y = m * e1x;
-            const double by_stretch = ((s1x * d1x + s1y * d1y) + s2x * d2x) + s2y * d2y;
-            const double by_det = ((a1x * d1x + a1y * d1y) + a2x * d2x) + a2y * d2y;
-            const double ss = of.curvatures[0][t], sd = of.curvatures[1][t], dd = of.curvatures[2][t];
-            const double p = ss * by_stretch + sd * by_det, q = sd * by_stretch + dd * by_det;
-            const double two = 2 * of.slopes[0][t], area = m * of.slopes[1][t];
-            tile.f[0][i] = (two * (g11 * d1x + g12 * d2x) + area * d2y) + (s1x * p + a1x * q);
-            tile.f[1][i] = (two * (g11 * d1y + g12 * d2y) - area * d2x) + (s1y * p + a1y * q);
-            tile.f[2][i] = (two * (g22 * d2x + g12 * d1x) - area * d1y) + (s2x * p + a2x * q);
-            tile.f[3][i] = (two * (g22 * d2y + g12 * d1y) + area * d1x) + (s2y * p + a2y * q);
-        }
-        for (int i = 0; i < n; ++i) {
-            const std::int64_t t = start + i;
-            out[row[0][t]] -= tile.f[0][i] + tile.f[2][i];
-            out[row[1][t]] -= tile.f[1][i] + tile.f[3][i];
-            out[row[2][t]] += tile.f[0][i];
-            out[row[3][t]] += tile.f[1][i];
-            out[row[4][t]] += tile.f[2][i];
-            out[row[5][t]] += tile.f[3][i];
+            out[row[0][t]] -= f[0][i] + f[2][i];
+            out[row[1][t]] -= f[1][i] + f[3][i];
+            out[row[2][t]] += f[0][i];
+            out[row[3][t]] += f[1][i];
+            out[row[4][t]] += f[2][i];
+            out[row[5][t]] += f[3][i];
         }
     }
 }
@@ -83,8 +69,7 @@ TM_DISPATCH void add_hessian_product(const HessianTriangles& of, const double* u
 HessianTriangles triangles_of(const SystemsArgument& all, std::int64_t system, std::vector<std::int32_t>& rows) {
     const std::int64_t from = all.triangle_offsets[system], count = all.triangle_offsets[system + 1] - from;
     const std::int64_t first = all.offsets[system], n = all.offsets[system + 1] - first;
-    HessianTriangles of;
-    of.count = count;
+    HessianTriangles of(count);
     rows.resize(std::size_t(6 * count));
     for (int k = 0; k < 6; ++k) {
         of.rows[k] = rows.data() + k * count;
@@ -93,13 +78,17 @@ HessianTriangles triangles_of(const SystemsArgument& all, std::int64_t system, s
             rows[k * count + t] = std::int32_t(row >= 0 && row < n ? row : n);
         }
     }
-    for (int k = 0; k < 4; ++k) {
-        of.edges[k] = all.edges + k * all.count + from;
-        of.stride[k] = all.target_stride[k];
-        of.target[k] = all.target[k] + of.stride[k] * from;
+    for (std::int64_t t = 0; t < count; ++t) {
+        double e[4], g[4], block[10];
+        for (int k = 0; k < 4; ++k) {
+            e[k] = all.edges[k * all.count + from + t];
+            g[k] = all.target[k][all.target_stride[k] * (from + t)];
+        }
+        const double *slope = all.slopes + from + t, *curvature = all.curvatures + from + t;
+        hessian_of_triangle(e, g, slope[0], slope[all.count], curvature[0], curvature[all.count],
+                            curvature[2 * all.count], block);
+        for (int k = 0; k < 10; ++k) of.column(k)[t] = block[k];
     }
-    for (int k = 0; k < 2; ++k) of.slopes[k] = all.slopes + k * all.count + from;
-    for (int k = 0; k < 3; ++k) of.curvatures[k] = all.curvatures + k * all.count + from;
     return of;
 }
 

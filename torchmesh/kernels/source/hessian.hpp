@@ -7,13 +7,43 @@
 
 namespace torchmesh {
 
-// The triangles of one mesh at one point.  A stride is 0 for one number for all triangles, and 1 for one each.
-// Rows are those of a vector of n unknowns and of numbers beyond, which stay zero.
+// The second derivatives of a triangle's energy by its edges e1x, e1y, e2x, e2y: a symmetric matrix, whose upper half
+// these ten numbers are, row by row.
+//
+// e        the edges
+// g        the target's g11, g12, g22 and m
+// s, d     the slopes of phi by stretch and by det; ss, sd, dd its curvatures
+TM_INLINE void hessian_of_triangle(const double* e, const double* g, double s, double d, double ss, double sd,
+                                   double dd, double* block) {
+    // The first derivatives of stretch and det by the edges.
+    const double p[4] = {2 * (g[0] * e[0] + g[1] * e[2]), 2 * (g[0] * e[1] + g[1] * e[3]),
+                         2 * (g[2] * e[2] + g[1] * e[0]), 2 * (g[2] * e[3] + g[1] * e[1])};
+    const double q[4] = {g[3] * e[3], -g[3] * e[2], -g[3] * e[1], g[3] * e[0]};
+    int at = 0;
+    for (int i = 0; i < 4; ++i)
+        for (int j = i; j < 4; ++j)
+            block[at++] = (ss * p[i] * p[j] + sd * (p[i] * q[j] + q[i] * p[j])) + dd * q[i] * q[j];
+    const double two = 2 * s, area = g[3] * d;
+    block[0] += two * g[0];
+    block[4] += two * g[0];
+    block[2] += two * g[1];
+    block[6] += two * g[1];
+    block[7] += two * g[2];
+    block[9] += two * g[2];
+    block[3] += area;
+    block[5] -= area;
+}
+
+// The triangles of one mesh at one point, with their second derivatives.
 struct HessianTriangles {
-    std::int64_t count = 0;
-    const std::int32_t* rows[6] = {};
-    const double *edges[4] = {}, *slopes[2] = {}, *curvatures[3] = {}, *target[4] = {};
-    std::int64_t stride[4] = {};
+    explicit HessianTriangles(std::int64_t count) : count(count), blocks(std::size_t(10 * count)) {}
+
+    double* column(int k) { return blocks.data() + k * count; }
+    const double* column(int k) const { return blocks.data() + k * count; }
+
+    std::int64_t count;
+    const std::int32_t* rows[6] = {};  // into a vector of n unknowns and of numbers beyond, which stay zero
+    std::vector<double> blocks;        // (10, count)
 };
 
 // Solves H x = right by `conjugate_gradients`, whose arguments these are; `length` is that of the vectors that `rows`

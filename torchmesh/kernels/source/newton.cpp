@@ -62,7 +62,8 @@ class Mesh {
           first_(all.offsets[number]),
           n_(all.offsets[number + 1] - first_),
           triangles_(all.triangles, all.triangle_offsets[number], all.triangle_offsets[number + 1]),
-          own_(triangles_.rows, triangles_.count, first_, n_, all.unknowns) {
+          own_(triangles_.rows, triangles_.count, first_, n_, all.unknowns),
+          hessian_(triangles_.count) {
         const std::int64_t count = triangles_.count;
         for (int k = 0; k < 6; ++k) hessian_.rows[k] = triangles_.rows[k] = own_.rows.data() + k * count;
         const auto length = std::size_t(n_ + own_.anchored());
@@ -74,16 +75,6 @@ class Mesh {
         step_.resize(std::size_t(n_));
         diagonal_.resize(length);
         descent_.resize(length);
-        numbers_.resize(std::size_t(9 * count));
-        hessian_.count = count;
-        double* column = numbers_.data();
-        for (int k = 0; k < 4; ++k, column += count) hessian_.edges[k] = column;
-        for (int k = 0; k < 2; ++k, column += count) hessian_.slopes[k] = column;
-        for (int k = 0; k < 3; ++k, column += count) hessian_.curvatures[k] = column;
-        for (int k = 0; k < 4; ++k) {
-            hessian_.target[k] = triangles_.values(k + 1, 0);
-            hessian_.stride[k] = triangles_.each[k + 1] ? 1 : 0;
-        }
         energy_of_ = energy_for(triangles_);
     }
 
@@ -139,44 +130,46 @@ class Mesh {
         return false;
     }
 
-    // The edges, slopes and curvatures of the triangles at x, minus the gradient, and the diagonal of the Hessian.
+    // The Hessian at x, its diagonal, and minus the gradient.
     void bend() {
-        const std::int64_t count = triangles_.count;
-        double* to[9];
-        for (int k = 0; k < 9; ++k) to[k] = numbers_.data() + k * count;
         std::fill(diagonal_.begin(), diagonal_.end(), 0.0);
         std::fill(descent_.begin(), descent_.end(), 0.0);
-        for (std::int64_t t = 0; t < count; ++t) {
-            const std::int32_t row[6] = {hessian_.rows[0][t], hessian_.rows[1][t], hessian_.rows[2][t],
-                                         hessian_.rows[3][t], hessian_.rows[4][t], hessian_.rows[5][t]};
-            double e[4], g[4];
+        const double* parameter = triangles_.each[0];
+        for (std::int64_t t = 0; t < triangles_.count; ++t) {
+            double e[4], g[4], block[10];
+            std::size_t row[6];
+            for (int k = 0; k < 6; ++k) row[k] = std::size_t(hessian_.rows[k][t]);
             for (int k = 0; k < 4; ++k) {
-                e[k] = x_[std::size_t(row[k + 2])] - x_[std::size_t(row[k % 2])];
-                g[k] = hessian_.target[k][hessian_.stride[k] * t];
+                e[k] = x_[row[k + 2]] - x_[row[k % 2]];
+                const double* each = triangles_.each[k + 1];
+                g[k] = each ? each[t] : triangles_.all[k + 1][0];
             }
-            // The first derivatives of stretch and det by the edges, as in hessian.cpp.
-            const double s[4] = {2 * (g[0] * e[0] + g[1] * e[2]), 2 * (g[0] * e[1] + g[1] * e[3]),
-                                 2 * (g[2] * e[2] + g[1] * e[0]), 2 * (g[2] * e[3] + g[1] * e[1])};
-            const double a[4] = {g[3] * e[3], -g[3] * e[2], -g[3] * e[1], g[3] * e[0]};
-            const double stretch = 0.5 * (((s[0] * e[0] + s[1] * e[1]) + s[2] * e[2]) + s[3] * e[3]);
+            const double half[4] = {g[0] * e[0] + g[1] * e[2], g[0] * e[1] + g[1] * e[3], g[2] * e[2] + g[1] * e[0],
+                                    g[2] * e[3] + g[1] * e[1]};
+            const double stretch = ((half[0] * e[0] + half[1] * e[1]) + half[2] * e[2]) + half[3] * e[3];
             const double det = g[3] * (e[0] * e[3] - e[1] * e[2]);
-            const double* parameter = triangles_.each[0];
-            // A flat triangle pulls nowhere, as in the twin, where its energy is the constant infinity.
-            const Curved c = !(det > 0) ? Curved{0, 0, 0, 0, 0}
-                             : triangles_.kind == REGULARISED
-                                 ? curved_regularised(stretch, det, parameter ? parameter[t] : triangles_.all[0][0],
-                                                      triangles_.theta)
-                                 : curved_inverse_mean_ratio(stretch, det, triangles_.power, triangles_.ceiling);
-            const double numbers[9] = {e[0], e[1], e[2], e[3], c.s, c.d, c.ss, c.sd, c.dd};
-            for (int k = 0; k < 9; ++k) to[k][t] = numbers[k];
-            const double second[3] = {(g[0] + 2 * g[1]) + g[2], g[0], g[2]};
-            for (int k = 0; k < 6; ++k) {
-                const double p = k < 2 ? -(s[k] + s[k + 2]) : s[k - 2], q = k < 2 ? -(a[k] + a[k + 2]) : a[k - 2];
-                descent_[std::size_t(row[k])] -= c.s * p + c.d * q;
-                diagonal_[std::size_t(row[k])] +=
-                    ((c.ss * p * p + 2 * c.sd * p * q) + c.dd * q * q) + 2 * c.s * second[k / 2];
+            const Curved c = curved(stretch, det, parameter ? parameter[t] : triangles_.all[0][0]);
+            hessian_of_triangle(e, g, c.s, c.d, c.ss, c.sd, c.dd, block);
+            for (int k = 0; k < 10; ++k) hessian_.column(k)[t] = block[k];
+            const double of_e[4] = {2 * c.s * half[0] + c.d * g[3] * e[3], 2 * c.s * half[1] - c.d * g[3] * e[2],
+                                    2 * c.s * half[2] - c.d * g[3] * e[1], 2 * c.s * half[3] + c.d * g[3] * e[0]};
+            const double second[4] = {block[0], block[4], block[7], block[9]};
+            for (int k = 0; k < 2; ++k) {
+                descent_[row[k]] += of_e[k] + of_e[k + 2];
+                diagonal_[row[k]] += (second[k] + second[k + 2]) + 2 * block[k == 0 ? 2 : 6];
+            }
+            for (int k = 0; k < 4; ++k) {
+                descent_[row[k + 2]] -= of_e[k];
+                diagonal_[row[k + 2]] += second[k];
             }
         }
+    }
+
+    Curved curved(double stretch, double det, double parameter) const {
+        // A flat triangle pulls nowhere, as in the twin, where its energy is the constant infinity.
+        if (!(det > 0)) return {0, 0, 0, 0, 0};
+        if (triangles_.kind == REGULARISED) return curved_regularised(stretch, det, parameter, triangles_.theta);
+        return curved_inverse_mean_ratio(stretch, det, triangles_.power, triangles_.ceiling);
     }
 
     const NewtonArgument& all_;
@@ -185,7 +178,7 @@ class Mesh {
     OwnRows own_;
     HessianTriangles hessian_;
     Energy<double> energy_of_ = nullptr;
-    std::vector<double> x_, trial_, gradient_, step_, descent_, diagonal_, numbers_;
+    std::vector<double> x_, trial_, gradient_, step_, descent_, diagonal_;
 };
 
 }  // namespace
