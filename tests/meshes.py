@@ -6,6 +6,7 @@ l_shape     two regions, the interface constrained     delaunay    scipy's trian
 equilateral a patch of equilateral triangles           moved_hole  a hole dragged through its mesh by FEMWARP
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -145,6 +146,16 @@ def moved_hole(distance: float = 5.0) -> MeshBatch:
     mesh = MeshBatch.from_arrays(*holed_arrays())
     on_hole = torch.hypot(mesh.points[:, 0] - 4, mesh.points[:, 1] - 5) < 1.1
     return tm.femwarp(mesh, mesh.points + on_hole[:, None] * torch.tensor([distance, 0.0], dtype=torch.float64))
+
+
+def hopeless() -> MeshBatch:
+    """A grid with four held vertices in its middle, two of which have been exchanged: their triangles stay inverted."""
+    mesh = grid(10, 10)
+    points, fixed = mesh.points.clone(), mesh.fixed.clone()
+    one, two, *rest = 49, 60, 48, 61
+    points[[one, two]] = points[[two, one]]
+    fixed[[one, two, *rest]] = True
+    return dataclasses.replace(mesh, points=points, fixed=fixed)
 
 
 def dragged_interface() -> MeshBatch:

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from meshes import disc, disturbed, grid, moved_hole, ring
+from meshes import disc, disturbed, grid, hopeless, jittered, moved_hole, ring
 
 import torchmesh as tm
 from torchmesh import nn
@@ -155,3 +155,27 @@ def test_flips_untangle_and_the_gradient_is_that_of_the_flipped_mesh():
 def test_topology_is_one_of_two():
     with pytest.raises(ValueError, match="topology"):
         nn.Untangle(topology="full")
+
+
+def test_a_mesh_that_could_not_be_untangled_is_worked_on_from_there(monkeypatch):
+    """Its second call looks for no other way, which cost as much as the first."""
+    mesh = tm.join([hopeless(), jittered(6, 5, 0.5)])
+    layer = nn.Untangle(mesh, on_failure="keep")
+    first = layer(mesh.points)
+    assert layer.info.valid.tolist() == [False, True]
+    monkeypatch.setattr("torchmesh.learning.nn.improve", lambda *_: pytest.fail("began anew"))
+    again = layer(mesh.points + 1e-5 * ~mesh.fixed[:, None], start=first)
+    assert layer.info.valid.tolist() == [False, True]
+    rows = slice(int(mesh.point_offsets[1]), None)
+    torch.testing.assert_close(again[rows], first[rows], rtol=0, atol=1e-8)
+    assert torch.equal(again[mesh.fixed], mesh.points[mesh.fixed])
+    with pytest.raises(pytest.fail.Exception, match="began anew"):
+        layer(mesh.points, start=torch.zeros_like(first))
+
+
+def test_input_that_is_valid_is_taken_where_the_start_is_tangled():
+    mesh = jittered(6, 5, 0.5)
+    valid = nn.Untangle(mesh)(mesh.points)
+    layer = nn.Untangle(mesh)
+    torch.testing.assert_close(layer(valid, start=mesh.points), valid, rtol=0, atol=1e-8)
+    assert bool(layer.info.valid.all())

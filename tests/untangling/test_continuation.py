@@ -1,13 +1,11 @@
 """The continuation in epsilon ends: after its limit, or where a mesh no longer gains."""
 
-import dataclasses
-
 import meshes
 import pytest
 import torch
 from exact import inverted
 
-from torchmesh import MeshBatch, Status, UntangleOptions, join, untangle
+from torchmesh import Status, UntangleOptions, join, untangle
 from torchmesh.untangling.continuation import _Stall
 
 
@@ -20,18 +18,8 @@ def test_continuations_are_limited():
     assert info.status.tolist() == [Status.ITERATION_LIMIT]
 
 
-def hopeless() -> MeshBatch:
-    """A grid with four held vertices in its middle, two of which have been exchanged: their triangles stay inverted."""
-    mesh = meshes.grid(10, 10)
-    points, fixed = mesh.points.clone(), mesh.fixed.clone()
-    one, two, *rest = 49, 60, 48, 61
-    points[[one, two]] = points[[two, one]]
-    fixed[[one, two, *rest]] = True
-    return dataclasses.replace(mesh, points=points, fixed=fixed)
-
-
 def test_what_no_longer_gets_better_ends_before_the_limit():
-    mesh = hopeless()
+    mesh = meshes.hopeless()
     options = UntangleOptions(size_sweeps=(100,), max_continuations=100_000)
     moved, info = untangle(mesh, options)
     assert inverted(moved) > 0
@@ -39,7 +27,7 @@ def test_what_no_longer_gets_better_ends_before_the_limit():
 
 
 def test_a_stalled_mesh_leaves_the_others_of_its_batch_alone():
-    batch = [meshes.jittered(8, 7, 0.5, 0), hopeless(), meshes.jittered(8, 7, 0.9, 1)]
+    batch = [meshes.jittered(8, 7, 0.5, 0), meshes.hopeless(), meshes.jittered(8, 7, 0.9, 1)]
     moved, info = untangle(join(batch))
     assert info.status[1] == Status.STALLED
     for b, mesh in enumerate(batch):

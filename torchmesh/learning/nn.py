@@ -24,6 +24,7 @@ from ..diagnosing.diagnosis import diagnose
 from ..errors import ConvergenceError, InvalidMeshError
 from ..improving.options import ImproveOptions
 from ..improving.pipeline import improve
+from ..improving.step_options import Rounds
 from ..mesh.batch import MeshBatch, put
 from ..mesh.detached import without_autocast
 from ..mesh.measure import upright
@@ -85,8 +86,9 @@ class _Layer(WithMesh):
 
         mesh     the batch whose triangles the points belong to; None: the layer's
         start    (V, 2) or a batch, a result for nearly the same points, as the last output: where its interior leads to
-                 a valid mesh, Newton's method goes on from there, which takes a small part of the time.  A batch,
-                 `info.mesh`, also brings the triangles of a layer that flips
+                 a valid mesh, Newton's method goes on from there, which takes a small part of the time.  Where it is
+                 the last output of this layer, which was not valid, untangling goes on from it with bounded work.  A
+                 batch, `info.mesh`, also brings the triangles of a layer that flips
         targets  (T, 2, 2) the target matrix of each triangle, a shape; None: equilateral (`SmoothOptions.targets`)
         sizes    (T,) or (V,) edge lengths that triangles should have; None: shapes alone count.
                  `LayerOptions.size_weight` is their weight
@@ -135,14 +137,25 @@ class _Layer(WithMesh):
         cold = segment_any(~upright(warm), warm.triangle_offsets) | unfit
         if not bool(cold.any()):
             return warm, status
-        part, why = self._valid(given.select(cold), unfit[cold], aims.select(given, cold))
-        status[cold] = why
-        return put(warm, cold, part), status
+        again = cold & ~unfit & self._stuck(given, start)
+        again &= segment_any(~upright(given), given.triangle_offsets)
+        found = warm
+        for at, come_from, resumed in ((cold & ~again, given, False), (again, warm, True)):
+            if bool(at.any()):
+                part, why = self._valid(come_from.select(at), unfit[at], aims.select(given, at), resumed=resumed)
+                status[at] = why
+                found = put(found, at, part)
+        return found, status
 
-    def _valid(self, given: MeshBatch, unfit: Tensor, aims: Aims) -> tuple[MeshBatch, Tensor]:
+    def _stuck(self, given: MeshBatch, start: "Tensor | MeshBatch") -> Tensor:
+        """(B,) bool: the meshes of `start` that this layer has just tried in vain to make valid, and may go on with."""
+        return torch.zeros(len(given), dtype=torch.bool, device=given.points.device)
+
+    def _valid(self, given: MeshBatch, unfit: Tensor, aims: Aims, *, resumed: bool = False) -> tuple[MeshBatch, Tensor]:
         """The given meshes made valid, with the same fixed vertices, and why (B,) they are not, where they are not.
 
-        unfit  (B,) bool, the meshes that are to stay as they are
+        unfit    (B,) bool, the meshes that are to stay as they are
+        resumed  whether they have been worked on before, so that little is to be hoped for
         """
         raise NotImplementedError
 
@@ -168,11 +181,17 @@ def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> Mes
     fixed = given.fixed[:, None]
     warm = before.with_points(torch.where(fixed, given.points, before.points))
     bad = segment_any(~upright(warm), warm.triangle_offsets) & ~unfit
-    bad &= ~segment_any(~upright(before), before.triangle_offsets)
+    if bool(bad.any()):
+        bad &= ~segment_any(~upright(before), before.triangle_offsets)
     if bool(bad.any()):
         part = before.select(bad)
         warm = put(warm, bad, femwarp(part, given.points[spread(bad, given.point_offsets)]))
     return warm
+
+
+def _same_meshes(one: MeshBatch, other: MeshBatch) -> bool:
+    """Whether the vertices of both batches are as many, mesh by mesh, on one device."""
+    return one.points.device == other.points.device and torch.equal(one.point_offsets, other.point_offsets)
 
 
 class Smooth(_Layer):
@@ -184,7 +203,7 @@ class Smooth(_Layer):
                 as it went in
     """
 
-    def _valid(self, given: MeshBatch, unfit: Tensor, aims: Aims) -> tuple[MeshBatch, Tensor]:
+    def _valid(self, given: MeshBatch, unfit: Tensor, aims: Aims, *, resumed: bool = False) -> tuple[MeshBatch, Tensor]:
         refused = segment_any(~upright(given), given.triangle_offsets)
         if self.on_failure == "raise" and bool(refused.any()):
             raise InvalidMeshError(
@@ -225,14 +244,22 @@ class Untangle(_Layer):
     def extra_repr(self) -> str:
         return f"{super().extra_repr()}, topology={self.topology!r}"
 
-    def _valid(self, given: MeshBatch, unfit: Tensor, aims: Aims) -> tuple[MeshBatch, Tensor]:
+    def _stuck(self, given: MeshBatch, start: "Tensor | MeshBatch") -> Tensor:
+        info = self.info
+        if info is None or self.topology == "flip" or not _same_meshes(info.mesh, given):
+            return super()._stuck(given, start)
+        points = start.points if isinstance(start, MeshBatch) else start
+        other = (points.detach().to(info.mesh.points) != info.mesh.points).any(1)
+        return ~info.valid & ~segment_any(other, given.point_offsets)
+
+    def _valid(self, given: MeshBatch, unfit: Tensor, aims: Aims, *, resumed: bool = False) -> tuple[MeshBatch, Tensor]:
         if aims.targets is not None and self.topology == "flip":
             raise InvalidMeshError("targets belong to triangles, which do not last when edges flip: topology='keep'")
         if aims.of_triangles and self.topology == "flip":
             raise InvalidMeshError("sizes (T,) belong to triangles that may flip: give them at vertices, (V,)")
         better = given
         if not bool(unfit.all()):
-            better = put(given, ~unfit, self._untangled(given.select(~unfit)))
+            better = put(given, ~unfit, self._untangled(given.select(~unfit), resumed))
         failed = segment_any(~upright(better), better.triangle_offsets)
         # Why a mesh stays tangled is asked of the few that do.
         problems = diagnose(given.select(failed)) if bool(failed.any()) else []
@@ -249,11 +276,13 @@ class Untangle(_Layer):
         status = torch.where(hopeless, int(Status.INFEASIBLE), int(Status.STALLED))
         return self._smoothed(better, aims)[0], torch.where(unfit, int(Status.NOT_FINITE), status)
 
-    def _untangled(self, given: MeshBatch) -> MeshBatch:
+    def _untangled(self, given: MeshBatch, resumed: bool) -> MeshBatch:
         """The meshes made valid: as `improve` does, or by the one method that the options name."""
         if self.options.untangle is not None:
             return untangle(given, self.options.untangle)[0]
         interfaces = self.options.smooth.interfaces
+        if resumed:
+            return untangle(given, replace(Rounds().last_untangling, interfaces=interfaces))[0]
         smoothing = SmoothOptions(ceiling=1.5, max_iterations=20, energy_tolerance=1e-2, single=True)
         options = ImproveOptions(
             topology=self.topology, shapes="equilateral", smooth=smoothing, smooth_rounds=3, polish=None,
