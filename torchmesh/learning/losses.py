@@ -21,10 +21,9 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.quads import refuse_quads
-from ..mesh.ragged import counts_from_offsets, owner_of
-from ..mesh.triangle import corners
 from ..optimising.energies import InverseMeanRatio, Regularised, UntangleBeta, whole_power
-from ..optimising.jacobian import Target, equilateral, invariants
+from ..optimising.jacobian import Target, equilateral, invariants_of_edges
+from .linear import edges_of, mean_of_each, owner
 from .scales import local_sides, mean_side, own_targets
 
 __all__ = ["inverse_mean_ratio", "minimum_jacobian", "regularised", "untangle_beta"]
@@ -117,8 +116,8 @@ def minimum_jacobian(
     target = _reference(points, mesh) if reference else equilateral(mean_side(mesh).to(points))
     _, det = _invariants(points, mesh, target)
     if per == "mesh":
-        owner = _owner(mesh)
-        det = det.new_full((len(mesh),), torch.inf).scatter_reduce(0, owner, det, "amin")
+        rows = owner(mesh.triangle_offsets, len(det), det)
+        det = det.new_full((len(mesh),), torch.inf).scatter_reduce(0, rows, det, "amin")
         return (threshold - det).clamp_min(0)
     return _reduced((threshold - det).clamp_min(0), mesh, per)
 
@@ -127,7 +126,7 @@ def _invariants(points: Tensor, mesh: MeshBatch, target: Target) -> tuple[Tensor
     refuse_quads(mesh, "a loss over triangles")
     if points.shape != mesh.points.shape:
         raise InvalidMeshError(f"points must be {tuple(mesh.points.shape)} as in the batch, not {tuple(points.shape)}")
-    return invariants(corners(points, mesh.triangles), target)
+    return invariants_of_edges(*edges_of(points, mesh.triangles), target)
 
 
 def _reference(points: Tensor, mesh: MeshBatch) -> Target:
@@ -135,16 +134,9 @@ def _reference(points: Tensor, mesh: MeshBatch) -> Target:
     return Target(*own_targets(mesh).to(points))
 
 
-def _owner(mesh: MeshBatch) -> Tensor:
-    """(T,) the mesh of each triangle, by an operation whose result has a size that is known beforehand."""
-    rows = torch.arange(mesh.triangles.shape[0], device=mesh.triangles.device)
-    return owner_of(rows, mesh.triangle_offsets)
-
-
 def _reduced(values: Tensor, mesh: MeshBatch, per: Per) -> Tensor:
     if per == "triangle":
         return values
     if per != "mesh":
         raise ValueError(f"per must be 'mesh' or 'triangle', not {per!r}")
-    sums = values.new_zeros(len(mesh)).index_add(0, _owner(mesh), values)
-    return sums / counts_from_offsets(mesh.triangle_offsets)
+    return mean_of_each(values, mesh.triangle_offsets)

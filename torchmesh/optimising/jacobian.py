@@ -90,7 +90,11 @@ class EdgeMap(NamedTuple):
 
 def invariants(t: Corners, target: Target) -> tuple[Tensor, Tensor]:
     """(T,) stretch and det of J for each triangle, in differentiable torch operations."""
-    e1x, e1y, e2x, e2y = edge_coordinates(t)
+    return invariants_of_edges(*edge_coordinates(t), target)
+
+
+def invariants_of_edges(e1x: Tensor, e1y: Tensor, e2x: Tensor, e2y: Tensor, target: Target) -> tuple[Tensor, Tensor]:
+    """The same from the edges e1 = b - a and e2 = c - a, (T,) each."""
     stretch = (
         target.g11 * (e1x * e1x + e1y * e1y)
         + 2 * target.g12 * (e1x * e2x + e1y * e2y)
