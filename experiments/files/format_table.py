@@ -91,7 +91,7 @@ def table() -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    arguments.parser(__doc__).parse_args(argv)
+    arguments.parse(arguments.parser(__doc__), argv)
     print(table())
     return 0
 

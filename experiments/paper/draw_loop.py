@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = arguments.parser(__doc__)
     default = Path(__file__).parents[2] / "docs" / "loop.svg"
     parser.add_argument("--out", type=Path, default=default, help="the file to write")
-    parser.parse_args(argv).out.write_text(drawing(), encoding="utf-8")
+    arguments.parse(parser, argv).out.write_text(drawing(), encoding="utf-8")
     return 0
 
 

@@ -96,7 +96,7 @@ def _line(label: str, row: Row) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = arguments.parser(__doc__)
     parser.add_argument("--out", type=Path, default=Path("torchmesh/data"), help="folder for the three files")
-    given = parser.parse_args(argv)
+    given = arguments.parse(parser, argv)
     given.out.mkdir(parents=True, exist_ok=True)
     print(
         f"{'':<14}{'triangles':>10}{'vertices':>10}{'IMR avg / max':>16}"

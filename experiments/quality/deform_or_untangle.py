@@ -10,7 +10,6 @@ boundary over what it was there before.
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -120,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = arguments.parse(parser, argv)
     given.out.mkdir(parents=True, exist_ok=True)
     found = rows(given.triangles, given.grading, given.cache)
-    (given.out / "deform_or_untangle.json").write_text(json.dumps(found, indent=1))
+    arguments.write_rows(given, "deform_or_untangle", found)
     draw(found, given.out / "deform_or_untangle.png")
     for way in WAYS:
         part = [r for r in found if r["way"] == way]

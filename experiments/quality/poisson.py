@@ -13,11 +13,10 @@ tells what the same number of vertices can do.  The full topology has other numb
 
 from __future__ import annotations
 
-import csv
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torchmesh as tm
@@ -152,10 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not rows:
         parser.error(f"no domain's name has {given.only!r}; there are {', '.join(every)}")
     given.out.mkdir(parents=True, exist_ok=True)
-    with (given.out / "poisson.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Row)])
-        writer.writeheader()
-        writer.writerows(map(asdict, rows))
+    arguments.write_rows(given, "poisson", [asdict(row) for row in rows])
     table = markdown(rows)
     (given.out / "poisson.md").write_text(table + "\n")
     draw(rows, given.out / "poisson.png")

@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import argparse
 import csv
+import inspect
 import json
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from experiments.shared import clocks
+from experiments.shared import clocks, tables
 from torchmesh.bench.provenance import provenance
+
+# Where tables are kept unless a run says otherwise.
+TABLES = Path("out/tables")
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
     """A parser that shows the first line of `description`, a module's docstring, and the default of each option."""
     first = (description or "").strip().split("\n")[0]
-    return argparse.ArgumentParser(description=first, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    made = argparse.ArgumentParser(description=first, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    made.add_argument(
+        "--csv",
+        type=Path,
+        default=TABLES,
+        help="folder for tables as CSV and a record of the run: options, seed, versions, processor, commit",
+    )
+    return made
 
 
 def add_cache(options: argparse.ArgumentParser) -> None:
@@ -36,10 +48,37 @@ def add_sizes(options: argparse.ArgumentParser, *default: int) -> None:
 
 
 def parse(options: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments; from here on one thread works, which is how everything is measured."""
+    """The arguments; from here on one thread works, which is how everything is measured, and tables are kept."""
     given = options.parse_args(argv)
     clocks.one_thread()
+    tables.keep(given.csv, script(), record(given))
     return given
+
+
+def script() -> str:
+    """The last part of the name of the script that calls, as `python -m experiments` knows it."""
+    frame = inspect.currentframe()
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__", ""))
+        spec = frame.f_globals.get("__spec__")
+        name = spec.name if name == "__main__" and spec is not None else name
+        parts = name.removesuffix(".__main__").split(".")
+        if parts[0] == "experiments" and len(parts) > 2 and parts[1] != "shared":
+            return parts[2] if len(parts) == 3 else "-".join(parts[2:])
+        frame = frame.f_back
+    return "experiment"
+
+
+def record(given: argparse.Namespace) -> dict[str, object]:
+    """Where a result comes from: options, seed, versions, processor, kernels, commit, and when."""
+    seeds = {name: value for name, value in vars(given).items() if name in ("seed", "seeds")}
+    return {
+        "experiment": script(),
+        "options": vars(given),
+        "seed": next(iter(seeds.values()), "fixed in the script"),
+        **provenance(),
+        "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
 
 
 def sizes_and_cache(description: str | None, argv: Sequence[str] | None, *triangles: int) -> argparse.Namespace:
@@ -60,5 +99,5 @@ def write_rows(given: argparse.Namespace, name: str, rows: Sequence[Mapping[str,
         writer = csv.DictWriter(stream, list(rows[0]) if rows else [], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)
-    record = {"options": vars(given), **provenance()}
-    (given.out / f"{name}.run.json").write_text(json.dumps(record, indent=1, default=str) + "\n", encoding="utf-8")
+    text = json.dumps(record(given), indent=1, default=str) + "\n"
+    (given.out / f"{name}.run.json").write_text(text, encoding="utf-8")

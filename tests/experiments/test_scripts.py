@@ -91,6 +91,36 @@ def test_one_command_line_has_them_all(capsys):
     assert "no experiment no_such_thing" in capsys.readouterr().err
 
 
+def test_tables_are_kept_as_csv_beside_a_record_of_the_run(tmp_path, capsys):
+    import json
+
+    from experiments.quality import travel
+
+    assert travel.main(["--count", "2", "--vertices", "80", "--csv", str(tmp_path / "kept")]) == 0
+    shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    rows = (tmp_path / "kept" / "travel.csv").read_text().splitlines()
+    assert len(rows) == len(shown) > 2
+    assert rows[0].split(",")[0] == shown[0].split("|")[1].strip()
+    record = json.loads((tmp_path / "kept" / "travel.run.json").read_text())
+    assert record["experiment"] == "travel"
+    assert record["options"]["count"] == 2
+    assert record["seed"] == "fixed in the script"
+    assert record["versions"]["torch"]
+    assert record["processor"]
+    assert record["time"]
+
+
+def test_every_table_of_a_run_has_a_file_of_plain_numbers(tmp_path):
+    from experiments.shared import tables
+
+    tables.keep(tmp_path, "some", {"seed": 1})
+    tables.table(["name", "count"], [["**a**", "2,145"], ["b, c", "-1,234.5"], ["`d`", "1,2"]])
+    tables.head(["x"])
+    tables.line(["1.5"])
+    assert (tmp_path / "some.csv").read_text().splitlines() == ["name,count", "a,2145", '"b, c",-1234.5', 'd,"1,2"']
+    assert (tmp_path / "some-2.csv").read_text().splitlines() == ["x", "1.5"]
+
+
 def test_results_say_where_they_come_from(tmp_path):
     import json
 
