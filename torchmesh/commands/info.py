@@ -15,8 +15,10 @@ from .shared_options import InArgument, RegionsOption, use_threads
 
 if TYPE_CHECKING:
     import numpy as np
+    from torch import Tensor
 
     from ..files.formats.format import Document
+    from ..files.parts import Part
     from ..files.source import Source
     from ..files.time_series import Series
 
@@ -79,6 +81,7 @@ def _record(given: "Series") -> dict[str, Any]:
 
     source = given.first_sources()[0]
     mesh, content = source.mesh, source.content
+    parts = list(parts_of(source).values())
     figures = console.record(given.batch, quality(given.batch))
     space = lift(mesh)
     steps = {"steps": len(given), "times": given.times, "meshes": len(given.batch)} if len(given) > 1 else {}
@@ -93,8 +96,10 @@ def _record(given: "Series") -> dict[str, Any]:
             "not_taken": list(content.told_by.others),
             "constrained_edges": len(mesh.constrained_edges),
         },
-        "groups": [_of_part(part, mesh.points) for part in parts_of(source).values()],
-        "layers": "; ".join(filter(None, [layers_in_words(mesh, _walls(source)), *_layers_of_quads(source)])),
+        "groups": [_of_part(part, mesh.points) for part in parts],
+        "layers": "; ".join(
+            filter(None, [layers_in_words(mesh, _walls(source)), *_layers_of_quads(mesh.points.double(), parts)])
+        ),
         "problems": list(_problems(source)),
     }
 
@@ -118,13 +123,11 @@ def _regions(source: "Source") -> int:
     return len(np.unique(code))
 
 
-def _layers_of_quads(source: "Source") -> Iterator[str]:
+def _layers_of_quads(points: "Tensor", parts: "list[Part]") -> Iterator[str]:
     """For each named wall, or else loop, on which layers of quads stand: how many, and how high the first one is."""
-    from ..files.parts import parts_of
-
-    points, told = source.mesh.points.double(), set[int]()
-    parts = [part for part in parts_of(source).values() if part.kind in ("lines", "loop") and len(part.layer)]
-    for part in sorted(parts, key=lambda part: part.kind != "lines"):
+    told = set[int]()
+    walls = [part for part in parts if part.kind in ("lines", "loop") and len(part.layer)]
+    for part in sorted(walls, key=lambda part: part.kind != "lines"):
         if told & set(part.layer.tolist()):
             continue
         told |= set(part.layer.tolist())

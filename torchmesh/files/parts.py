@@ -76,10 +76,10 @@ def parts_of(source: Source) -> dict[str, Part]:
     for name, rows in (*groups(content.mesh, 2), *_numbered_cells(content)):
         for block, members in zip(content.mesh.cells, rows, strict=True):
             if block.type in ("triangle", "quad") and len(members):
-                faces.setdefault(name, []).extend(block.data[members])
+                faces.setdefault(name, []).append(block.data[members])
     known = set()
     for name, corners in faces.items():
-        key = np.unique(np.concatenate(corners)).tobytes()
+        key = np.unique(np.concatenate([c.reshape(-1) for c in corners])).tobytes()
         if key not in known or name in content.mesh.cell_sets:
             found.setdefault(name, cells.body(name, corners))
         known.add(key)
@@ -143,21 +143,20 @@ class _Cells:
         return Part(name, kind, vertices, edges, layer, base, triangles, quads)
 
     def body(self, name: str, corners: list[np.ndarray]) -> Part:
-        """Cells with all that is in them; their outline has an edge of one of them only."""
-        ends = [np.stack([c, np.roll(c, -1)], 1) for c in corners]
+        """Cells, tables of triangles and of quads, with all that is in them; their outline has edges of one of them."""
+        ends = [np.stack([c, np.roll(c, -1, 1)], 2).reshape(-1, 2) for c in corners]
         edges = torch.from_numpy(np.concatenate(ends).astype(np.int64))
         keys = keys_of(edges, self.count)
         _, back, copies = keys.unique(return_inverse=True, return_counts=True)
         outline = edges[copies[back] == 1]
         part = self.part(name, CELLS, edges.unique(), outline)
-        sizes = np.array([len(c) for c in corners])
         within = torch.isin(part.layer, part.vertices)
         return replace(
             part,
             layer=part.layer[~within],
             base=part.base[~within],
-            triangles=int((sizes == 3).sum()),
-            quads=int((sizes == 4).sum()),
+            triangles=sum(len(c) for c in corners if c.shape[1] == 3),
+            quads=sum(len(c) for c in corners if c.shape[1] == 4),
         )
 
     def _layer(self, keys: Tensor, vertices: Tensor) -> tuple[Tensor, Tensor]:

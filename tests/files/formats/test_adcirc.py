@@ -44,6 +44,20 @@ def test_only_the_moved_node_changes(source, tmp_path):
     assert named(source) == {"open-1": [[0, 1]], "land-1": [[0, 3], [1, 2], [2, 3]]}
 
 
+def test_text_behind_numbers_is_passed_over_and_stays(tmp_path):
+    """As Fortran reads rows: what stands behind the numbers that it asks for is no part of them."""
+    told = FORT.replace("-10.0\n4 0.0", "-10.0  ! NODE NO., X, Y, DEPTH\n4 0.0").replace(
+        "\n1\n20\n", "\n1  ! beginning\n20 end\n"
+    )
+    (tmp_path / "fort.14").write_text(told)
+    assert improved(tmp_path / "fort.14", tmp_path / "out.14") == [("5 1.4D+00 0.5 -10.0", "5 0.5 0.5 -10.0")]
+    assert named(tmp_path / "fort.14")["open-1"] == [[0, 1]]
+    assert load(tmp_path / "fort.14").skipped == ()
+    (tmp_path / "fort.14").write_text(FORT.replace("1 3 1 20 5", "1 three 1 20 5"))
+    with pytest.raises(tm.MeshIOError, match="a row of the elements needs 5 numbers"):
+        load(tmp_path / "fort.14")
+
+
 def test_flips_change_the_rows_of_their_triangles(source, tmp_path):
     changed = turned(source, tmp_path / f"out{source.suffix}")
     assert changed == [("1 3 1 20 5", "1 3 20 3 5"), ("2 3 20 3 5", "2 3 1 20 5")]

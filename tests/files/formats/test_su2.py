@@ -104,3 +104,20 @@ def test_a_file_of_three_dimensions_with_one_height_is_planar(tmp_path):
     (tmp_path / "in.su2").write_text(text.replace("0.5 0.25 0.25 4", "0.5 0.25 0.5 4"))
     with pytest.raises(MeshIOError, match="NDIME is not 2, and z is not the same"):
         read(tmp_path / "in.su2")
+
+
+def test_su2_periodic_pairs_stay_in_place_and_go_where_points_do(tmp_path):
+    """SU2 before version 7 lists them as markers with a line of their own."""
+    pairs = "".join(
+        f"MARKER_TAG= SEND_RECEIVE\nMARKER_ELEMS= 1\nSEND_TO= {sign}1\n1 {node} {k}\n"
+        for k, (sign, node) in enumerate((("", 0), ("-", 1)), 1)
+    )
+    (tmp_path / "in.su2").write_text(SU2.replace("NMARK= 2", "NMARK= 4") + pairs)
+    mesh = read(tmp_path / "in.su2")
+    assert bool(mesh.fixed[:2].all())
+    write(tmp_path / "out.su2", mesh, like=tmp_path / "in.su2")
+    assert (tmp_path / "out.su2").read_text() == (tmp_path / "in.su2").read_text()
+    form, document = FORMATS["su2"], load_document(tmp_path / "in.su2")
+    form.write(tmp_path / "new.su2", document.mesh, document, same_rows=False)
+    assert "SEND" not in (tmp_path / "new.su2").read_text()
+    assert form.left_behind(document, form, same_rows=False)[0] == "the pairs of periodic points (SEND_RECEIVE)"

@@ -7,6 +7,7 @@ import torch
 from file_contents import grid, save
 
 import torchmesh as tm
+from torchmesh.files.formats.vtk import VTK
 from torchmesh.files.mesh_files import read, write
 
 INT64 = """# vtk DataFile Version 5.1
@@ -132,3 +133,15 @@ def test_a_file_from_which_arrays_went_is_read_by_others(tmp_path, extension, mo
     assert "n" in found.point_data
     assert "u" not in found.point_data
     assert found.points[4] == pytest.approx((0.6, 0.6, 0.0), abs=1e-6)
+
+
+def test_freefem_writes_the_number_of_components_without_a_blank(tmp_path):
+    head = (
+        "# vtk DataFile Version 2.0\nsol.vtk, Created by Freefem++\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 3 float\n"
+    )
+    cells = "0 0 0\n1 0 0\n0 1 0\nCELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n5\n"
+    data = (
+        "CELL_DATA 1\nScalars  Label int1\nLOOKUP_TABLE FreeFempp_table\n7\nLOOKUP_TABLE FreeFempp_table 1\n1 0 0 1\n"
+    )
+    (tmp_path / "a.vtk").write_text(head + cells + data)
+    assert VTK.read(tmp_path / "a.vtk").mesh.cell_data["Label"][0].tolist() == [7]

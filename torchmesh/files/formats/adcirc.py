@@ -32,6 +32,10 @@ _HEAD = re.compile(rb"[^\n]*\n\s*\d+[ \t,]+\d+\b[^\n]*\n\s*\d+[ \t,]+[-+.\d]")
 # The exponent of a number in double precision, as Fortran writes it.
 _EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+\d])")
 
+# What is no number: exponents in double precision, and text behind the numbers, which Fortran passes over.
+_WORDS = re.compile(r"[^\s\d.+\-eE]")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?(?=[\s,]|$)")
+
 # The types of boundaries (IBTYPE) by what they are called; other types are just boundaries.
 _ISLANDS = (1, 11, 21)
 _NAMES = {**dict.fromkeys((0, 10, 20, 30), "land"), **dict.fromkeys(_ISLANDS, "island"),
@@ -62,7 +66,7 @@ class AdcircFormat(TextFormat):
         else:
             reader.text("its title")
         elements, nodes = reader.whole("the numbers of elements and nodes", 2)
-        reader.texts = [_EXPONENT.sub("e", text) if "d" in text.lower() else text for text in reader.texts]
+        reader.texts = [_numbers_of(text) if _WORDS.search(text) else text for text in reader.texts]
         at, table = reader.columns(nodes, 4, "the nodes")
         names = whole(table[:, 0], "the nodes")
         if len(np.unique(names)) < len(names):
@@ -100,6 +104,12 @@ class AdcircFormat(TextFormat):
 
 ADCIRC = AdcircFormat("adcirc", (".14", ".grd", ".gr3", ".ll"), (*FLAT, "line"), point_data="none", cell_data="regions",
                       region_name=STRING)  # fmt: skip
+
+
+def _numbers_of(text: str) -> str:
+    """The numbers that a row begins with, as Python writes them; the row itself if it begins with none."""
+    words = list(itertools.takewhile(_NUMBER.match, text.split("!")[0].replace(",", " ").split()))
+    return _EXPONENT.sub("e", " ".join(words)) if words else text
 
 
 def _read_elements(

@@ -20,6 +20,9 @@ from .text_numbers import number_lines, numbers_of
 
 _TAG = "su2:tag"
 
+# The name of all markers that say which points are periodic images of one another.
+PERIODIC = "SEND_RECEIVE"
+
 # SU2's number of each element type: meshio's name for it, its number of nodes.
 _KINDS = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4)}
 
@@ -61,11 +64,14 @@ class Su2Format(Format):
 
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
         file: Su2Lines = document.rest
+        periodic = ["the pairs of periodic points (SEND_RECEIVE)"] if PERIODIC in document.mesh.field_data else []
         if target is self:
-            return [] if same_rows or not file.remarks else ["comments at the ends of lines"]
+            comments = ["comments at the ends of lines"] if file.remarks else []
+            return [] if same_rows else [*periodic, *comments]
         rest = file.rest
         comments = ["comments"] if file.remarks or any(line.lstrip().startswith("%") for line in rest) else []
-        return [f"lines such as {line.strip()!r}" for line in rest if not line.lstrip().startswith("%")][:1] + comments
+        lines = [f"lines such as {line.strip()!r}" for line in rest if not line.lstrip().startswith("%")][:1]
+        return [*periodic, *lines, *comments]
 
 
 SU2 = Su2Format(
@@ -166,6 +172,8 @@ def _lines(mesh: meshio.Mesh, height: float | None = None) -> Iterator[str]:
     height  the third coordinate of all points; None for a file of two dimensions
     """
     names = {int(v[0]): name for name, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 1}
+    paired = {tag for tag, name in names.items() if name == PERIODIC}  # they hold for the points that were
+    names = {tag: name for tag, name in names.items() if tag not in paired}
     inner = [block for block in mesh.cells if block.type in ("triangle", "quad")]
     members: dict[int, list[str]] = {tag: [] for tag in names}
     counts = dict.fromkeys(names, 0)
@@ -173,7 +181,7 @@ def _lines(mesh: meshio.Mesh, height: float | None = None) -> Iterator[str]:
         if block.type in ("triangle", "quad"):
             continue
         tags = mesh.cell_data[_TAG][i] if _TAG in mesh.cell_data else np.ones(len(block.data), np.int64)
-        for tag in dict.fromkeys(tags.tolist()):
+        for tag in dict.fromkeys(tag for tag in tags.tolist() if tag not in paired):
             rows = block.data[tags == tag]
             members.setdefault(tag, []).extend(number_lines(rows, f"{_NUMBERS[block.type]} "))
             counts[tag] = counts.get(tag, 0) + len(rows)

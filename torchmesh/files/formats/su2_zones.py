@@ -143,7 +143,10 @@ def flat_points(
 
 
 def section_rows(lines: Iterator[tuple[int, str]], count: int, section: str) -> tuple[list[int], list[str]]:
-    """The numbers and texts of the next `count` lines that are not empty, without comments.  Raises ValueError."""
+    """The numbers and texts of the next `count` lines that are not empty, without comments.  Raises ValueError.
+
+    Markers of periodic boundaries have a line SEND_TO first, which stays.
+    """
     numbers: list[int] = []
     texts: list[str] = []
     while len(numbers) < count:
@@ -151,7 +154,7 @@ def section_rows(lines: Iterator[tuple[int, str]], count: int, section: str) -> 
         if number < 0:
             raise ValueError(f"{section} says {count}, the file ends after {len(numbers)}")
         text = line.split("%", 1)[0]
-        if text.strip():
+        if text.strip() and (numbers or not re.match(r"\s*SEND_TO\s*=", text)):
             numbers.append(number)
             texts.append(text)
     return numbers, texts

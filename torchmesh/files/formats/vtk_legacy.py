@@ -279,10 +279,14 @@ class VtkLegacy:
 
 
 def _kind(name: str) -> str:
-    """The type of numbers that VTK calls so.  Raises ValueError."""
-    if name.lower() not in _TYPES:
+    """The type of numbers that VTK calls so.  Raises ValueError.
+
+    FreeFem writes the number of components, 1, without a blank behind it.
+    """
+    known = name.lower().removesuffix("1")
+    if known not in _TYPES:
         raise ValueError(f"numbers of the type {name[:40]!r} are not known")
-    return _TYPES[name.lower()]
+    return _TYPES[known]
 
 
 def _count(words: list[str], index: int) -> int:
