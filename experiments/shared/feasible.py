@@ -58,10 +58,10 @@ def _comb(rng: np.random.Generator) -> Outline:
 
 
 def _annulus(rng: np.random.Generator) -> Outline:
-    return _ring(rng.uniform(0.1, 0.7))
+    return ring(rng.uniform(0.1, 0.7))
 
 
-def _ring(inner: float) -> Outline:
+def ring(inner: float) -> Outline:
     outer = regular_polygon(120)
     return Outline((outer, inner * outer[::-1]), (1.0, 1.0), 0.2)
 
@@ -85,7 +85,7 @@ def case(name: str) -> Case:
     kind, triangles, seed, interior = name.split("-")
     rng = np.random.default_rng([int(seed), int(triangles), KINDS.index(kind)])
     made = {"turned": _turned, "bent": _bent}.get(kind)
-    valid = made(rng, int(triangles)) if made else _meshed(DOMAINS[kind](rng), rng, int(triangles))
+    valid = made(rng, int(triangles)) if made else meshed(DOMAINS[kind](rng), rng, int(triangles))
     return Case(name, valid, _put(valid, interior, rng))
 
 
@@ -96,7 +96,7 @@ def names(count: int, triangles: int, first_seed: int = 0) -> Iterator[str]:
         yield f"{KINDS[which % len(KINDS)]}-{triangles}-{first_seed + seed}-{INTERIORS[which // len(KINDS)]}"
 
 
-def _meshed(outline: Outline, rng: np.random.Generator, triangles: int) -> tm.MeshBatch:
+def meshed(outline: Outline, rng: np.random.Generator, triangles: int) -> tm.MeshBatch:
     return tm.MeshBatch.from_arrays(*mesh_outline(outline, triangles, rng)[:2])
 
 
@@ -110,7 +110,7 @@ def twisted(points: Array, inner: float, angle: float) -> Array:
 def _turned(rng: np.random.Generator, triangles: int) -> tm.MeshBatch:
     """The largest of some turns, up to a half one, for which the twisted mesh is valid."""
     inner = rng.uniform(0.1, 0.5)
-    mesh = _meshed(_ring(inner), rng, triangles)
+    mesh = meshed(ring(inner), rng, triangles)
     for angle in (rng.uniform(0.5, 1.0) * np.linspace(1, 0, 20)) * math.pi * rng.choice([-1, 1]):
         moved = twisted(mesh.points.numpy(), inner, angle)
         if (double_areas(moved, mesh.triangles.numpy()) > 0).all():
@@ -120,7 +120,7 @@ def _turned(rng: np.random.Generator, triangles: int) -> tm.MeshBatch:
 
 def _bent(rng: np.random.Generator, triangles: int) -> tm.MeshBatch:
     """A mesh under the strongest of some smooth maps for which it stays valid."""
-    mesh = _meshed(DOMAINS[str(rng.choice(list(DOMAINS)))](rng), rng, triangles)
+    mesh = meshed(DOMAINS[str(rng.choice(list(DOMAINS)))](rng), rng, triangles)
     points = mesh.points.numpy()
     low, high = points.min(0), points.max(0)
     at = (points - (low + high) / 2) / (high - low).max()

@@ -300,3 +300,38 @@ def test_what_cannot_work_is_refused():
         smooth(mesh, SmoothOptions(targets=bad))
     with pytest.raises(InvalidMeshError, match=r"mesh 0: triangles row .* is inverted, so it is no target"):
         target_from(meshes.jittered())
+
+
+def test_the_shapes_of_a_surface_in_space_are_targets():
+    mesh = meshes.delaunay(50, 3)
+    flat = target_from(mesh)
+    # The plane mesh, turned and laid somewhere in space, has the same shapes.
+    turn, _ = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)))
+    points = torch.nn.functional.pad(mesh.points, (0, 1)) @ turn.T + 3
+    lifted = target_from(points, mesh.triangles)
+    torch.testing.assert_close(lifted.mT @ lifted, flat.mT @ flat, rtol=1e-12, atol=1e-14)
+    assert bool((torch.linalg.det(lifted) > 0).all())
+    torch.testing.assert_close(target_quality(mesh, lifted), torch.ones(len(flat), dtype=torch.float64))
+    # numpy is taken, too; lengths on a bent surface are those in space.
+    height = mesh.points[:, 0].square()[:, None]
+    bent = target_from(torch.cat([mesh.points, height], 1).numpy(), mesh.triangles.numpy())
+    a, b, c = torch.cat([mesh.points, height], 1)[mesh.triangles].unbind(1)
+    torch.testing.assert_close(bent[:, :, 0].norm(dim=1), (b - a).norm(dim=1))
+    torch.testing.assert_close((bent[:, :, 0] - bent[:, :, 1]).norm(dim=1), (b - c).norm(dim=1))
+
+
+@pytest.mark.parametrize(
+    ("points", "triangles", "message"),
+    [
+        (torch.zeros(3, 2), [[0, 1, 2]], r"must be \(V, 3\), not \(3, 2\)"),
+        (torch.eye(3), None, "needs the triangles"),
+        (torch.eye(3), [[0, 1, 3]], r"row 0 is \[0, 1, 3\]: there are 3 positions"),
+        (torch.eye(3), [[0, 1, 2], [0, 0, 1]], "row 1 of the surface is flat"),
+        (torch.eye(3) * torch.nan, [[0, 1, 2]], "flat or not finite"),
+        (torch.eye(3), [[0.0, 1.0, 2.0]], "whole numbers"),
+        (meshes.grid(2, 2), [[0, 1, 2]], "a batch has its own"),
+    ],
+)
+def test_what_is_no_surface_is_refused_by_name(points, triangles, message):
+    with pytest.raises(InvalidMeshError, match=message):
+        target_from(points, triangles)

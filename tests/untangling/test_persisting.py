@@ -84,6 +84,27 @@ def test_the_shapes_of_a_reference_are_the_first_target():
         untangle(mesh, UntangleOptions("newton"), reference=mesh)
 
 
+@pytest.mark.parametrize("method", ["newton", "regularised"])
+def test_rest_shapes_of_a_surface_in_space_are_targets(method):
+    mesh = meshes.jittered(8, 7, 0.6, 2)
+    rest = meshes.grid(8, 7).points
+    points = torch.stack([rest[:, 0], 0.5 * rest[:, 1], rest[:, 0].square()], 1)
+    targets = tm.target_from(points, mesh.triangles)
+    assert inverted(mesh) > 0
+    moved, info = untangle(mesh, UntangleOptions(method), targets=targets)
+    assert info.status.tolist() == [Status.VALID]
+    alone, _ = untangle(mesh, UntangleOptions(method), targets=1000 * targets)
+    torch.testing.assert_close(moved.points, alone.points, rtol=0, atol=1e-6)
+    joined, _ = untangle(join([half_turn(), mesh]), UntangleOptions(method),
+                         targets=torch.cat([tm.target_from(meshes.ring(24, 6, 0.4, 1.3)), targets]))  # fmt: skip
+    assert torch.equal(joined[1].points, moved.points)
+    for bad, message in ((targets[:-1], "targets must be"), (0 * targets, "row 0 is")):
+        with pytest.raises(tm.InvalidMeshError, match=message):
+            untangle(mesh, targets=bad)
+    with pytest.raises(tm.InvalidMeshError, match="not with a reference"):
+        untangle(mesh, targets=targets, reference=meshes.grid(8, 7))
+
+
 def test_a_valid_mesh_stays_and_what_cannot_move_is_not_tried(monkeypatch):
     monkeypatch.setattr(persisting, "_solve", lambda *_: pytest.fail("tried"))
     mesh = meshes.grid(6, 6)

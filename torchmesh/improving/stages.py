@@ -78,6 +78,19 @@ def regularised(options: UntangleOptions) -> Stage:
     return stage
 
 
+def newton(options: UntangleOptions) -> Stage:
+    """Moves vertices by the second-order ways; the shapes of the reference, or targets of triangles, come first."""
+
+    def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        shapes = state.targets if isinstance(state.targets, Tensor) else None
+        rest = {"targets": shapes} if state.reference is None and not len(state.mesh.quads) else {}
+        settings = _at_interfaces(options, state)
+        mesh, info = untangling.untangle(state.mesh, settings, reference=state.reference, monitor=monitor, **rest)
+        return state.at(mesh), Work.done(state, iterations=info.iterations)
+
+    return stage
+
+
 def gather() -> Stage:
     """Brings free vertices that lie far outside to the edge of their mesh."""
     from ..untangling.gathering import gathered

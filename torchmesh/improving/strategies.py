@@ -42,6 +42,7 @@ from .stages import (
     average,
     flip,
     gather,
+    newton,
     on_triangles,
     polish,
     regularised,
@@ -176,7 +177,7 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         for at, ways in ((~state.faulty, o.rounds.newton), (state.faulty, o.rounds.newton_beside_faults)):
             options = UntangleOptions("newton", newton=ways)
             at = at & state.tangled & ~state.impossible
-            state, _ = run("newton", attempt(regularised(options), _given), state, at)
+            state, _ = run("newton", attempt(newton(options), _given), state, at)
     if o.may_flip:
         # Where fewer triangles are inverted than before, cavities round them are smaller, and may have a boundary that
         # does not cross itself, as in strips that lie over themselves.

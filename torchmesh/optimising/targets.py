@@ -17,6 +17,7 @@ framework, SIAM Journal on Numerical Analysis 49, 2011).
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -34,21 +35,62 @@ from .objective import MeshObjective, Packing
 
 Targets = Tensor | MetricField
 
+# What becomes a tensor.
+ArrayLike = Any
+
 
 # Positions (N, 2) to target matrices (N, 2, 2).
 TargetFunction = Callable[[Tensor], Tensor]
 
 
-def target_from(reference: MeshBatch) -> Tensor:
+def target_from(reference: MeshBatch | ArrayLike, triangles: ArrayLike | None = None) -> Tensor:
     """(T, 2, 2) the triangles of `reference` as target matrices, for `SmoothOptions(targets=...)`.
+
+    reference  a batch; or the positions (V, 3) of a surface in space, which then needs its triangles, as texture
+               coordinates have it: the triangles of the plane take the shapes that they have on the surface
+    triangles  (T, 3) rows of these positions
 
     They serve a batch with the same triangles in the same order, for example the mesh after a deformation.  With quads
     they are (T + 4Q, 2, 2): mesh by mesh those of the triangles, and then four a quad, one for each of its corners in
     their order, with the edges to the next corner and to the one before.
-    Raises InvalidMeshError, naming the row, where a triangle is inverted or flat.
+    Raises InvalidMeshError, naming the row, where a triangle is inverted or flat, and for arrays of another shape.
     """
-    refuse_inverted(reference, ", so it is no target; improve the reference first")
-    return edge_matrices(sampled(reference))
+    if isinstance(reference, MeshBatch):
+        if triangles is not None:
+            raise InvalidMeshError("target_from takes triangles with positions (V, 3) only: a batch has its own")
+        refuse_inverted(reference, ", so it is no target; improve the reference first")
+        return edge_matrices(sampled(reference))
+    if triangles is None:
+        raise InvalidMeshError("target_from needs the triangles (T, 3) of a surface beside its positions (V, 3)")
+    return _surface_targets(torch.as_tensor(reference), torch.as_tensor(triangles))
+
+
+def _surface_targets(points: Tensor, triangles: Tensor) -> Tensor:
+    """(T, 2, 2) each triangle of a surface laid into the plane, its first edge along x."""
+    if points.ndim != 2 or points.shape[1] != 3 or points.is_complex():
+        raise InvalidMeshError(
+            f"positions of a surface must be (V, 3), not {tuple(points.shape)}; for a plane reference give a MeshBatch"
+        )
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.is_floating_point():
+        raise InvalidMeshError(f"triangles must be (T, 3) whole numbers, not {tuple(triangles.shape)}")
+    points, triangles = points.detach().to(torch.float64), triangles.to(points.device, torch.int64)
+    strays = ((triangles < 0) | (triangles >= len(points))).any(1)
+    if bool(strays.any()):
+        row = int(strays.nonzero()[0])
+        raise InvalidMeshError(f"triangles row {row} is {triangles[row].tolist()}: there are {len(points)} positions")
+    a, b, c = points[triangles].unbind(1)
+    e1, e2 = b - a, c - a
+    # In units of each triangle, so that squares neither overflow nor underflow.
+    unit = torch.maximum(e1.abs().amax(1), e2.abs().amax(1))[:, None]
+    one, two = e1 / unit, e2 / unit
+    length, area = one.norm(dim=1), torch.linalg.cross(one, two).norm(dim=1)
+    flat = ~((area > 0) & area.isfinite())
+    if bool(flat.any()):
+        row = int(flat.nonzero()[0])
+        raise InvalidMeshError(f"triangles row {row} of the surface is flat or not finite, so it is no target")
+    along, across = (one * two).sum(1) / length, area / length
+    rows = torch.stack([torch.stack([length, along], 1), torch.stack([torch.zeros_like(length), across], 1)], 1)
+    return unit[:, :, None] * rows
 
 
 def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricField:
@@ -155,6 +197,16 @@ def _target(batch: MeshBatch, matrices: Tensor) -> Target:
 
 def _unit_targets(batch: MeshBatch, matrices: Tensor, count: int) -> Target:
     """The same of so many matrices (N, 2, 2), of triangles or of corners of quads."""
+    t, area = checked_matrices(batch, matrices, count)
+    size = (4 / SQRT3 * area).sqrt()
+    return target_of(Corners(*(v / size for v in t)))
+
+
+def checked_matrices(batch: MeshBatch, matrices: Tensor, count: int) -> tuple[Corners, Tensor]:
+    """The triangles of so many target matrices (N, 2, 2), each scaled to an extent of 1, and their areas (N,).
+
+    Raises InvalidMeshError for another shape, and for a matrix whose determinant is not positive.
+    """
     if matrices.shape != (count, 2, 2):
         more = " and one a corner of each quad" if len(batch.quads) else ""
         raise InvalidMeshError(
@@ -172,8 +224,7 @@ def _unit_targets(batch: MeshBatch, matrices: Tensor, count: int) -> Target:
         raise InvalidMeshError(
             f"{where}targets row {row} is {matrices[row].tolist()}: the determinant of a target matrix must be positive"
         )
-    size = (4 / SQRT3 * area).sqrt()
-    return target_of(Corners(*(v / size for v in t)))
+    return t, area
 
 
 # --- targets as they come with the options ---

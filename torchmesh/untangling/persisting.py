@@ -22,17 +22,17 @@ from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.units import centre_and_unit
 from ..optimising.energies import Regularised, TotalLiftedContent
-from ..optimising.jacobian import Target
+from ..optimising.jacobian import Target, select_rows
 from ..optimising.laplacian import harmonic_extension
 from ..optimising.levenberg import LevenbergOptions, push_areas
 from ..optimising.projected_newton import NewtonSystem, ProjectedOptions, minimise_by_projection
 from ..optimising.targets import ideal
 from .continuation import next_epsilon
-from .local_size import local_size, own_target
+from .local_size import local_size
 from .options import NewtonWays
 
-# The place of the reference's shapes among the numbers of sweeps.
-_OWN = -1
+# The place of the rest shapes among the numbers of sweeps.
+_REST = -1
 
 
 @dataclass
@@ -60,13 +60,13 @@ class Best:
 class _Task:
     """One mesh in a unit of its own, and the moves between both units.
 
-    reference  the same triangles, all upright, whose shapes are targets, too
+    rest  the rest shapes as targets (T,), in the caller's unit, where they are known
     """
 
     def __init__(
-        self, mesh: MeshBatch, free: Tensor, options: NewtonWays, best: Best, reference: MeshBatch | None = None
+        self, mesh: MeshBatch, free: Tensor, options: NewtonWays, best: Best, rest: Target | None = None
     ) -> None:
-        self.mesh, self.free, self.options, self.best, self.reference = mesh, free, options, best, reference
+        self.mesh, self.free, self.options, self.best, self.rest = mesh, free, options, best, rest
         centre, unit = centre_and_unit(mesh.points, mesh.point_offsets)
         self.centre, self.unit = centre, unit
         self.systems: dict[int, tuple[NewtonSystem, Tensor]] = {}
@@ -82,12 +82,12 @@ class _Task:
     def system(self, sweeps: int) -> tuple[NewtonSystem, Tensor]:
         """The system with targets of the size field of so many sweeps, and their areas (T,) relative to the mean.
 
-        With _OWN sweeps the targets are the triangles of the reference.
+        With _REST sweeps the targets are the rest shapes.
         """
         if sweeps not in self.systems:
-            if sweeps == _OWN:
-                assert self.reference is not None
-                target = _scaled(own_target(self.mesh, self.reference)[0], self.unit)
+            if sweeps == _REST:
+                assert self.rest is not None
+                target = _scaled(self.rest, self.unit)
             else:
                 target = ideal(self.mesh, local_size(self.mesh, sweeps)[self.mesh.triangles].mean(1) / self.unit)
             area = 1 / torch.as_tensor(target.m)
@@ -98,17 +98,17 @@ class _Task:
 
 def _scaled(target: Target, unit: Tensor) -> Target:
     """The target in another unit of length."""
-    g11, g12, g22, m = (torch.as_tensor(v) * unit.square() for v in target)
+    g11, g12, g22, m = (torch.as_tensor(v).cpu() * unit.square() for v in target)
     return Target(g11, g12, g22, m)
 
 
 def persist(
-    batch: MeshBatch, may_move: Tensor, options: NewtonWays, at: Tensor, reference: MeshBatch | None = None
+    batch: MeshBatch, may_move: Tensor, options: NewtonWays, at: Tensor, rest: Target | None = None
 ) -> tuple[MeshBatch, Tensor]:
     """Try all ways on the meshes `at` (B,) bool, each alone.
 
-    may_move   (V,) bool
-    reference  the same triangles, all upright, whose shapes are targets, too
+    may_move  (V,) bool
+    rest      the rest shapes as targets (T,), where they are known
 
     Returns the batch, and the Newton steps of each mesh (B,).
     """
@@ -117,19 +117,20 @@ def persist(
     for b in at.nonzero().squeeze(1).tolist():
         mesh = batch[b]
         rows = slice(int(batch.point_offsets[b]), int(batch.point_offsets[b + 1]))
-        best = _solve(mesh, may_move[rows], options, None if reference is None else reference[b])
+        faces = slice(int(batch.triangle_offsets[b]), int(batch.triangle_offsets[b + 1]))
+        best = _solve(mesh, may_move[rows], options, None if rest is None else select_rows(rest, faces))
         points[rows], steps[b] = best.points.to(points), best.iterations
     return batch.with_points(points), steps.to(batch.points.device)
 
 
-def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, reference: MeshBatch | None = None) -> Best:
+def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | None = None) -> Best:
     mesh, free = mesh.to("cpu"), free.cpu()
     best = Best(mesh, mesh.points, int((~upright(mesh)).sum()))
     embedded = _embedded(mesh, free)
     # The sizes of scrambled triangles tell nothing.
     sized = mesh.with_points(embedded)
-    task = _Task(sized, free, options, best, None if reference is None else reference.to("cpu"))
-    sizes = options.size_sweeps if reference is None else (_OWN, *options.size_sweeps)
+    task = _Task(sized, free, options, best, rest)
+    sizes = options.size_sweeps if rest is None else (_REST, *options.size_sweeps)
     if task.give(task.scaled(embedded)):
         return best
     starts = [embedded] if torch.equal(embedded, mesh.points) else [embedded, mesh.points]

@@ -20,7 +20,7 @@ from ..optimising.targets import ideal
 from ..status import Status
 from .beta import untangle_beta
 from .continuation import judged, try_regularised
-from .local_size import local_size, own_target
+from .local_size import local_size, own_target, rest_target
 from .options import UntangleOptions
 
 
@@ -30,6 +30,7 @@ def untangle(
     options: UntangleOptions | None = None,
     *,
     reference: MeshBatch | None = None,
+    targets: Tensor | None = None,
     free: Tensor | None = None,
     monitor: Monitor | None = None,
 ) -> tuple[MeshBatch, MoveInfo]:
@@ -42,12 +43,17 @@ def untangle(
     reference  the meshes before they were deformed: the same triangles, all upright.  The first try of "regularised"
                then takes each triangle's shape and size there as its target, and minimises the energy further once
                the mesh is valid
+    targets    (T, 2, 2) the same of rest shapes that are no plane mesh: target matrices with their sizes, such as
+               those of a surface in space (`target_from(points, triangles)`).  Their sum is scaled to the area that
+               the mesh encloses.  Not with a reference, nor with quads
     free       (V,) bool: of the vertices that are not fixed, move only these; None: all
     monitor    called with the iteration and the energies of the meshes still running
 
-    Raises InvalidMeshError when the reference has other triangles or an inverted one.
+    Raises InvalidMeshError when the reference has other triangles or an inverted one, and for targets that are none.
     """
     options = options or UntangleOptions()
+    if targets is not None and (reference is not None or len(batch.quads)):
+        raise InvalidMeshError("targets of untangle go with triangles alone, and not with a reference")
     if reference is not None:
         check_reference(batch, reference)
     # Quads are their corners: what moves is the same, and every gate below is exact for them.
@@ -61,14 +67,17 @@ def untangle(
     if options.method == "beta":
         moved, info = untangle_beta(batch, may_move, options, monitor)
         return _as_given(moved, given), _refused(info, unfit)
+    # Where the rest shapes are known, they are the first target.
+    rest = None if reference is None else own_target(batch, reference)
+    if targets is not None:
+        rest = rest_target(batch, targets)
     if options.method == "newton":
-        moved, info = _persisted(batch, batch, _untouched(batch), options, tangled, may_move, reference)
+        moved, info = _persisted(batch, batch, _untouched(batch), options, tangled, may_move, rest)
         return _as_given(moved, given), _refused(info, unfit)
     packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets)
-    target, size = _local_target(batch, options.size_sweeps[0]) if reference is None else own_target(batch, reference)
-    moved, info = try_regularised(batch, packing, target, size, options, monitor, settle=reference is not None)
-    rest = options.size_sweeps[1:] if reference is None else options.size_sweeps
-    for sweeps in rest:
+    target, size = rest or _local_target(batch, options.size_sweeps[0])
+    moved, info = try_regularised(batch, packing, target, size, options, monitor, settle=rest is not None)
+    for sweeps in options.size_sweeps if rest is not None else options.size_sweeps[1:]:
         again = (info.status != Status.VALID) & ~unfit
         if not bool(again.any()):
             break
@@ -81,7 +90,7 @@ def untangle(
         info = _merged(info, again, its, fewer)
     again = (info.status != Status.VALID) & ~unfit
     if options.newton is not None and bool(again.any()):
-        moved, info = _persisted(batch, moved, info, options, again, may_move, reference)
+        moved, info = _persisted(batch, moved, info, options, again, may_move, rest)
     return _as_given(moved, given), _refused(info, unfit)
 
 
@@ -92,9 +101,11 @@ def _persisted(
     options: UntangleOptions,
     at: Tensor,
     may_move: Tensor,
-    reference: MeshBatch | None,
+    rest: tuple[Target, Tensor] | None,
 ) -> tuple[MeshBatch, MoveInfo]:
     """`moved` and `info` after the second-order ways from `batch`, on the meshes `at` (B,) bool.
+
+    rest  the targets (T,) and sizes (V,) that the rest shapes come to, where they are known
 
     Meshes with an inverted triangle that cannot move are left out: they cannot be untangled.
     """
@@ -105,7 +116,7 @@ def _persisted(
     at = at & ~segment_any(~upright(batch) & held, batch.triangle_offsets)
     if not bool(at.any()):
         return moved, info
-    tried, steps = persist(batch, may_move, options.newton, at, reference)
+    tried, steps = persist(batch, may_move, options.newton, at, None if rest is None else rest[0])
     fewer = at & (_inverted(tried) < _inverted(moved))
     if bool(fewer.any()):
         moved = put(moved, fewer, tried.select(fewer))
