@@ -2,7 +2,9 @@
 
 import io
 import shutil
+import warnings
 
+import adf
 import curved_meshes as cm
 import meshes
 import meshio
@@ -183,7 +185,47 @@ def test_mistakes_are_named(tmp_path, change, what):
         tm.read(source)
 
 
-def test_the_old_form_is_told(tmp_path):
-    (tmp_path / "a.cgns").write_bytes(b"@(#)ADF Database Version A02011>" + bytes(200))
-    with pytest.raises(tm.MeshIOError, match="adf2hdf"):
-        tm.read(tmp_path / "a.cgns")
+@pytest.mark.parametrize(("version", "pieces"), [("A", 1), ("A", 3), ("B", 1)])
+def test_the_old_form_is_changed_in_place(tmp_path, version, pieces):
+    source = square(tmp_path / "new.cgns", mixed=True, fields=["T", "p"])
+    with h5py.File(source, "r") as file:
+        (tmp_path / "a.cgns").write_bytes(adf.from_hdf5(file, version, pieces))
+    one, other = load(source), load(tmp_path / "a.cgns")
+    assert (one.mesh.points == other.mesh.points).all()
+    assert all((a.data == b.data).all() for a, b in zip(one.mesh.cells, other.mesh.cells, strict=True))
+    assert set(other.mesh.cell_sets) == {"wall"}
+    mesh = tm.read(tmp_path / "a.cgns")
+    tm.write(tmp_path / "same.cgns", mesh, like=tmp_path / "a.cgns")
+    assert (tmp_path / "same.cgns").read_bytes() == (tmp_path / "a.cgns").read_bytes()
+    improved, _ = tm.improve(mesh)
+    for fields, left in (("interpolate", {"T", "p"}), ("drop", set())):
+        tm.write(tmp_path / "b.cgns", improved, like=tmp_path / "a.cgns", fields=fields)
+        back = load(tmp_path / "b.cgns").mesh
+        assert set(back.point_data) == left
+        assert (back.points == improved.points.numpy()).all()
+        assert (np.sort(back.cells[0].data, 1) == np.sort(improved.triangles.numpy(), 1)).all()
+    more = tm.MeshBatch.from_arrays(*meshes.grid_arrays(2, 2))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        tm.write(tmp_path / "c.cgns", more, like=tmp_path / "a.cgns")
+    assert any("in HDF5 instead of ADF" in str(one.message) for one in said)
+
+
+@pytest.mark.parametrize("version", ["A", "B"])
+def test_damage_in_the_old_form_is_one_line(tmp_path, version):
+    """Whatever byte is wrong, it is a MeshError or a mesh."""
+    source = square(tmp_path / "new.cgns")
+    with h5py.File(source, "r") as file:
+        data = adf.from_hdf5(file, version)
+    random, said = np.random.default_rng(0), []
+    for _ in range(150):
+        bad = bytearray(data[: random.integers(300, len(data))] if random.random() < 0.2 else data)
+        for at in random.integers(266, len(bad), 3):
+            bad[at] = random.integers(256)
+        (tmp_path / "bad.cgns").write_bytes(bad)
+        try:
+            load(tmp_path / "bad.cgns")
+        except tm.MeshIOError as error:
+            said.append(str(error))
+    assert len(said) > 30
+    assert not any("\n" in text for text in said)

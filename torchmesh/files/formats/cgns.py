@@ -1,6 +1,6 @@
-"""CGNS files in HDF5 (.cgns): unstructured planar zones, changed in place.
+"""CGNS files (.cgns) in HDF5 or ADF: unstructured planar zones, changed in place.
 
-    Base                            each node is a group with attributes name, label, type, and a dataset " data"
+    Base                            in HDF5, a node is a group with attributes name, label, type, and a dataset " data"
       Zone                          the numbers of vertices and cells
         GridCoordinates             CoordinateX, CoordinateY, CoordinateZ
         airfoil, fluid, ...         sections: a type, the range of numbers (ElementRange), nodes (ElementConnectivity)
@@ -22,7 +22,8 @@ import meshio
 import numpy as np
 
 from ..swelling import check_hdf5
-from .cgns_tree import Node, new_tree
+from .cgns_adf import AdfNode, AdfStore
+from .cgns_tree import Node, Tree, new_tree
 from .format import Document, Format, numbers_by_type
 
 # The numbers of element types: meshio's name, the number of nodes.  The order of nodes is meshio's.
@@ -73,26 +74,37 @@ class CgnsFile:
 
     def patched(self, before: meshio.Mesh, after: meshio.Mesh) -> bytes:
         """The bytes with the points, cells and point data of `after`, which has the rows of `before`."""
+        if is_adf(self.data):
+            store = AdfStore(self.data)
+            self._patch(store, before, after)
+            return bytes(store.data)
         import h5py
 
         memory = io.BytesIO(self.data)
         with h5py.File(memory, "r+") as file:
-            for zone, (start, end) in enumerate(zip([0, *self.ends], self.ends, strict=False)):
-                for axis, path in enumerate(self.axes[zone]):
-                    _put(file[path], before.points[start:end, axis], after.points[start:end, axis])
-                for name, paths in self.fields.items():
-                    if name in after.point_data:
-                        _put(file[paths[zone]], before.point_data[name][start:end], after.point_data[name][start:end])
-                    else:
-                        del file[paths[zone].rsplit("/", 1)[0]]
-            for section, old, new in zip(self.sections, before.cells, after.cells, strict=True):
-                changed = np.flatnonzero((old.data != new.data).any(1))
-                if len(changed):
-                    nodes = file[section.path][()]
-                    at = section.places[changed, None] + np.arange(new.data.shape[1])
-                    nodes[at] = new.data[changed] - section.start + 1
-                    file[section.path][...] = nodes
+            self._patch(file, before, after)
         return memory.getvalue()
+
+    def _patch(self, file: Any, before: meshio.Mesh, after: meshio.Mesh) -> None:
+        for zone, (start, end) in enumerate(zip([0, *self.ends], self.ends, strict=False)):
+            for axis, path in enumerate(self.axes[zone]):
+                _put(file[path], before.points[start:end, axis], after.points[start:end, axis])
+            for name, paths in self.fields.items():
+                if name in after.point_data:
+                    _put(file[paths[zone]], before.point_data[name][start:end], after.point_data[name][start:end])
+                else:
+                    del file[paths[zone].rsplit("/", 1)[0]]
+        for section, old, new in zip(self.sections, before.cells, after.cells, strict=True):
+            changed = np.flatnonzero((old.data != new.data).any(1))
+            if len(changed):
+                nodes = file[section.path][()]
+                at = section.places[changed, None] + np.arange(new.data.shape[1])
+                nodes.reshape(-1)[at] = new.data[changed] - section.start + 1
+                file[section.path][...] = nodes
+
+
+def is_adf(data: bytes) -> bool:
+    return b"ADF Database" in data[:32]
 
 
 def _put(dataset: Any, old: np.ndarray, new: np.ndarray) -> None:
@@ -109,11 +121,12 @@ class CgnsFormat(Format):
     """
 
     def read(self, path: Path) -> Document:
+        with open(path, "rb") as stream:
+            if is_adf(stream.read(32)):
+                data = path.read_bytes()
+                return _Reader(CgnsFile(data), AdfNode.root(data)).document(self.name)
         import h5py
 
-        with open(path, "rb") as stream:
-            if stream.read(32).find(b"ADF Database") >= 0:
-                raise ValueError("it is in ADF, the old form of CGNS; make HDF5 of it by adf2hdf of the CGNS tools")
         check_hdf5(path)
         with h5py.File(path, "r") as file:
             return _Reader(CgnsFile(path.read_bytes()), Node(file)).document(self.name)
@@ -124,6 +137,9 @@ class CgnsFormat(Format):
             path.write_bytes(like.rest.patched(like.mesh, mesh))
         else:
             path.write_bytes(new_tree(mesh, NUMBERS, {} if like is None else like.rest.types))
+
+    def remarks(self, like: Document | None, same_rows: bool) -> list[str]:
+        return ["it is in HDF5 instead of ADF"] if like is not None and not same_rows and is_adf(like.rest.data) else []
 
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
         return [] if target is self and same_rows else [*document.skipped, *document.by_element]
@@ -136,7 +152,7 @@ CGNS = CgnsFormat("cgns", (".cgns",), tuple(NUMBERS), cell_data="none", point_da
 class _Reader:
     """What is found in the zones of a file."""
 
-    def __init__(self, file: CgnsFile, root: Node) -> None:
+    def __init__(self, file: CgnsFile, root: Tree) -> None:
         self.file = file
         self.root = root
         self.points: list[np.ndarray] = []
@@ -182,7 +198,7 @@ class _Reader:
             units=self.units,
         )  # fmt: skip
 
-    def _read_zone(self, base: Node, zone: Node) -> None:
+    def _read_zone(self, base: Tree, zone: Tree) -> None:
         kind = next((node.text() for node in zone.children("ZoneType_t")), "Structured")
         if kind != "Unstructured":
             raise ValueError(f"its zone {zone.name!r} is structured; save it as an unstructured one, or as .vtu")
@@ -215,7 +231,7 @@ class _Reader:
         self._name_sections([(begin, node) for begin, node in sections], first)
         self._read_fields(zone, count)
 
-    def _read_conditions(self, base: Node, zone: Node, first: int, start: int) -> None:
+    def _read_conditions(self, base: Tree, zone: Tree, first: int, start: int) -> None:
         families = {node.name: node for node in base.children("Family_t")}
         for holder in zone.children("ZoneBC_t"):
             for node in holder.children("BC_t"):
@@ -231,7 +247,7 @@ class _Reader:
                     else:
                         self._group(name, first, numbers)
 
-    def _name_sections(self, sections: list[tuple[int, Node]], first: int) -> None:
+    def _name_sections(self, sections: list[tuple[int, Tree]], first: int) -> None:
         """Sections are groups by their names, unless conditions have their elements; a single one of faces is none."""
         taken = [np.zeros(0, np.int64)]
         for rows in self.groups.values():
@@ -239,7 +255,7 @@ class _Reader:
         known = np.unique(np.concatenate(taken))
         faces = {s.path for s in self.file.sections[first:] if s.kind not in ("line", "line3", "vertex")}
         for _, node in sections:
-            own = [s for s in self.file.sections[first:] if s.path.startswith(f"{node.group.name}/")]
+            own = [s for s in self.file.sections[first:] if s.path.startswith(f"{node.location}/")]
             numbers = np.concatenate([np.zeros(0, np.int64), *(s.number for s in own)])
             if not np.isin(numbers, known).any() and (len(faces) > 1 or not {s.path for s in own} & faces):
                 self._group(node.name, first, numbers)
@@ -252,7 +268,7 @@ class _Reader:
             found = np.flatnonzero(np.isin(self.file.sections[k].number, numbers))
             rows[k] = np.union1d(rows[k], found)
 
-    def _read_fields(self, zone: Node, count: int) -> None:
+    def _read_fields(self, zone: Tree, count: int) -> None:
         solutions = list(zone.children("FlowSolution_t"))
         for node in solutions:
             place = next((child.text() for child in node.children("GridLocation_t")), "Vertex")
@@ -266,7 +282,7 @@ class _Reader:
                 self.file.fields.setdefault(name, []).append(array.path)
 
 
-def _units(node: Node) -> str:
+def _units(node: Tree) -> str:
     """The unit of length that a node states, as CGNS calls it."""
     for child in node.children("DimensionalUnits_t"):
         raw = np.asarray(child.data()).astype(np.uint8).tobytes()
@@ -275,7 +291,7 @@ def _units(node: Node) -> str:
     return ""
 
 
-def _members(node: Node) -> np.ndarray:
+def _members(node: Tree) -> np.ndarray:
     """The numbers of the vertices or elements of a condition."""
     for child in (*node.children("IndexRange_t"), *node.children("IndexArray_t")):
         numbers = child.whole("a boundary condition").reshape(-1)
@@ -289,7 +305,7 @@ def _members(node: Node) -> np.ndarray:
     return np.zeros(0, np.int64)
 
 
-def _sections(node: Node, begin: int, start: int, count: int) -> Iterator[Section]:
+def _sections(node: Tree, begin: int, start: int, count: int) -> Iterator[Section]:
     """Runs of elements of one type.  Raises ValueError for other types, and nodes that are none of the zone's."""
     number = int(node.whole("a type of elements").reshape(-1)[0])
     if number in (_POLYGONS, _POLYHEDRA):

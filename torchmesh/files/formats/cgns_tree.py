@@ -3,6 +3,7 @@
 Arrays stand in HDF5 with their axes in the order of C, which is the other way round than in CGNS.
 """
 
+import abc
 import io
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -11,40 +12,44 @@ import meshio
 import numpy as np
 
 _LONGEST_NAME = 32
-_DATA = " data"
+DATA = " data"
 _LETTERS = {"i4": "I4", "i8": "I8", "f4": "R4", "f8": "R8", "i1": "C1"}
 
 
-class Node:
-    """A node: a group of HDF5."""
+class Tree(abc.ABC):
+    """A node with the nodes below it.
 
-    def __init__(self, group: Any) -> None:
-        self.group = group
+    location  its path from the root
+    """
+
+    location: str
 
     @property
-    def name(self) -> str:
-        return str(self.group.name.rsplit("/", 1)[-1])
+    @abc.abstractmethod
+    def name(self) -> str: ...
+
+    @property
+    @abc.abstractmethod
+    def label(self) -> str: ...
+
+    @abc.abstractmethod
+    def every(self) -> "Iterator[Tree]":
+        """The nodes below it."""
+
+    @abc.abstractmethod
+    def data(self) -> Any:
+        """Its array.  Raises ValueError without one, or for one that is not of numbers."""
 
     @property
     def path(self) -> str:
         """Where its data stand."""
-        return f"{self.group.name}/{_DATA}"
+        return f"{self.location}/{DATA}"
 
-    def children(self, label: str, name: str | None = None) -> Iterator["Node"]:
+    def children(self, label: str, name: str | None = None) -> "Iterator[Tree]":
         """The nodes below it with a label, and with a name if one is given."""
-        import h5py
-
-        for key in self.group:
-            child = self.group.get(key)
-            if isinstance(child, h5py.Group) and _text(child.attrs.get("label", b"")) == label and name in (None, key):
-                yield Node(child)
-
-    def data(self) -> Any:
-        """Its array.  Raises ValueError without one, or for one that is not of numbers."""
-        found = self.group[_DATA][()] if _DATA in self.group else None
-        if not isinstance(found, np.ndarray) or found.dtype.kind not in "iuf":
-            raise ValueError(f"its node {self.name!r} has no data")
-        return found
+        for child in self.every():
+            if child.label == label and name in (None, child.name):
+                yield child
 
     def whole(self, what: str) -> np.ndarray:
         """Its array of whole numbers.  Raises ValueError."""
@@ -55,6 +60,36 @@ class Node:
 
     def text(self) -> str:
         return _text(np.asarray(self.data()).astype(np.uint8).tobytes())
+
+
+class Node(Tree):
+    """A node of a file in HDF5: a group."""
+
+    def __init__(self, group: Any) -> None:
+        self.group = group
+        self.location = str(group.name)
+
+    @property
+    def name(self) -> str:
+        return self.location.rsplit("/", 1)[-1]
+
+    @property
+    def label(self) -> str:
+        return _text(self.group.attrs.get("label", b""))
+
+    def every(self) -> "Iterator[Node]":
+        import h5py
+
+        for key in self.group:
+            child = self.group.get(key)
+            if isinstance(child, h5py.Group):
+                yield Node(child)
+
+    def data(self) -> Any:
+        found = self.group[DATA][()] if DATA in self.group else None
+        if not isinstance(found, np.ndarray) or found.dtype.kind not in "iuf":
+            raise ValueError(f"its node {self.name!r} has no data")
+        return found
 
 
 def _text(value: Any) -> str:
@@ -133,7 +168,7 @@ def _node(parent: Any, name: str, label: str, data: np.ndarray | str | None = No
     _attributes(group, short, label, "MT" if data is None else _LETTERS[data.dtype.str[1:]])
     group.attrs.create("flags", np.array([1], np.int32))
     if data is not None:
-        group[_DATA] = data
+        group[DATA] = data
     return group
 
 
