@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from .batches.runs import improve_files
     from .diagnosing.diagnosis import Problem, ProblemKind, diagnose
     from .errors import ConvergenceError, InvalidMeshError, MeshError, MeshIOError, MeshWarning, MissingDependencyError
-    from .files.hdf5 import BatchFile, BatchWriter, load_batch, load_fields, save_batch
+    from .files.hdf5 import BatchWriter, load_batch, load_fields, save_batch
+    from .files.hdf5_reading import BatchFile
     from .files.mesh_files import held, read, write
     from .files.pyg import from_pyg, to_pyg
     from .files.pyvista import to_pyvista
@@ -73,7 +74,8 @@ _NAMES = {
     "batches.runs": "improve_files",
     "diagnosing.diagnosis": "Problem ProblemKind diagnose",
     "errors": "ConvergenceError InvalidMeshError MeshError MeshIOError MeshWarning MissingDependencyError",
-    "files.hdf5": "BatchFile BatchWriter load_batch load_fields save_batch",
+    "files.hdf5": "BatchWriter load_batch load_fields save_batch",
+    "files.hdf5_reading": "BatchFile",
     "files.mesh_files": "held read write",
     "files.pyg": "from_pyg to_pyg",
     "files.pyvista": "to_pyvista",

@@ -15,6 +15,9 @@ from .messages import about
 
 FORMAT, VERSION = "torchmesh meshes", 1
 
+# Rows in a compressed chunk.  A chunk then has some hundred kilobytes, or a few meshes of the usual size.
+CHUNK_ROWS = 8192
+
 TABLES = ("points", "triangles", "constrained_edges")
 
 # Where no mesh has quads, there is no table of them, as in files of earlier versions.

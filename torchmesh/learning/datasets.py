@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from ..errors import MeshIOError
-from ..files.hdf5 import BatchFile
+from ..files.hdf5_reading import BatchFile
 from ..mesh.batch import MeshBatch, constrained_half_edges, join, triangle_mesh, vertex_mesh
 from ..mesh.connectivity import edges, triangle_components
 from ..mesh.numbers import numbers_of
