@@ -1,5 +1,7 @@
 """FEMWARP and relaxation."""
 
+from dataclasses import replace
+
 import meshes
 import numpy as np
 import pytest
@@ -188,3 +190,13 @@ def test_a_warp_without_a_gradient_has_none_and_the_same_bits():
     assert torch.equal(femwarp(mesh, goal.clone().requires_grad_()).points, plain.points)
     with torch.no_grad():
         assert not femwarp(mesh, goal.clone().requires_grad_()).points.requires_grad
+
+
+def test_a_piece_without_a_fixed_vertex_is_refused():
+    mesh = join([meshes.grid(4, 4), meshes.grid(4, 4)])
+    two = MeshBatch.from_arrays(torch.cat([mesh.points[:25], mesh.points[25:] + 3]), mesh.triangles)
+    free = two.fixed.clone()
+    free[25:] = False
+    for move in (lambda m: femwarp(m, m.points + 1), relax):
+        with pytest.raises(InvalidMeshError, match="mesh 1: no vertex of the piece with vertex 25 is fixed"):
+            move(join([meshes.grid(4, 4), replace(two, fixed=free)]))

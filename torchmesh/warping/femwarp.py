@@ -7,11 +7,12 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch, put
+from ..mesh.connectivity import boundary_edges, edge_components
 from ..mesh.detached import detached, without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.quads import sampled
-from ..mesh.ragged import segment_any
+from ..mesh.ragged import owner_of, segment_any
 from ..mesh.triangle import corners
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
@@ -33,7 +34,8 @@ def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None)
     stiffness of the undeformed mesh as weights, so affine motions are reproduced (Shontz &
     Vavasis, Analysis of and workarounds for element reversal, BIT 50, 2010).  A large motion may
     invert triangles: `improve` mends that.  Raises InvalidMeshError when a triangle of the
-    undeformed mesh is inverted, or when positions are not finite or of another shape or type; it names mesh and row.
+    undeformed mesh is inverted, when no vertex of a piece is fixed, or when positions are not finite or of another
+    shape or type; it names mesh and row.
     """
     system, target = _warp_system(batch, new_points, hold)
     batch = detached(batch)
@@ -51,7 +53,28 @@ def _warp_system(batch: MeshBatch, new_points: Tensor, hold: Tensor | None) -> t
     """The factorised system of the warp, and (V, 2) the fixed vertices at their goal, the others where they are."""
     fixed = with_held(batch, hold).fixed
     target = boundary_goal(replace(batch, fixed=fixed), new_points, "femwarp")
+    refuse_loose(batch, fixed)
     return _system(batch, fixed), target
+
+
+def refuse_loose(batch: MeshBatch, fixed: Tensor) -> None:
+    """Raise InvalidMeshError for a piece of a mesh without a `fixed` (V,) vertex, which would shrink to a point."""
+    batch = sampled(batch)
+    if bool(fixed[boundary_edges(batch.triangles, batch.twin).reshape(-1)].all()):
+        return  # every piece of a plane mesh has a boundary
+    edges = torch.cat([batch.triangles[:, :2], batch.triangles[:, 1:]])
+    label = edge_components(edges, len(fixed))
+    used, held = torch.zeros_like(fixed), torch.zeros_like(fixed)
+    used[batch.triangles] = True
+    held[label[fixed]] = True
+    loose = used & ~held[label]
+    if bool(loose.any()):
+        row = loose.nonzero()[0]
+        b = int(owner_of(row, batch.point_offsets))
+        raise InvalidMeshError(
+            f"mesh {b}: no vertex of the piece with vertex {int(row - batch.point_offsets[b])} is fixed, so that "
+            "nothing says where it goes; fix some of its vertices"
+        )
 
 
 def _system(batch: MeshBatch, fixed: Tensor) -> ExtensionSystem:
@@ -140,7 +163,8 @@ def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatc
 
     With a convex boundary and a 3-connected mesh the result is valid (Tutte, How to draw a graph,
     Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.  A mesh with a
-    position that is not finite, or beyond 1e150, comes back as it is.
+    position that is not finite, or beyond 1e150, comes back as it is.  Raises InvalidMeshError when no vertex of a
+    piece is fixed.
     """
     unfit = unfit_meshes(batch)
     if bool(unfit.any()):
@@ -153,5 +177,6 @@ def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatc
         side = torch.where(batch.of_quads, 0.5, 1.0).to(one)
         weights = torch.where(batch.of_quads, 0.0, 1.0).to(one), side, side
     fixed = holding(batch, interfaces).fixed
+    refuse_loose(batch, fixed)
     points = harmonic_extension(batch.triangles, weights, fixed, batch.points, batch.point_offsets)
     return given.with_points(points)
