@@ -48,6 +48,8 @@ def works(given: object) -> dict[str, Work]:
     large = domains.noisy("circle", 100 * given.triangles[0], 0, given.cache)
     better, _ = tm.improve(many, alone)
     layer, positions = squares(given.layers)
+    sheared = better.points + 0.1 * better.points.flip(1)
+    before, after = better[0], tm.improve(one, tm.ImproveOptions.fast())[0]
     steps = tm.SmoothOptions(energy_tolerance=0, gradient_tolerance=0, max_iterations=30)
     f = functools.partial
     return {
@@ -55,6 +57,10 @@ def works(given: object) -> dict[str, Work]:
         f"improve {len(many)} such meshes": f(tm.improve, many, alone),
         f"improve {len(many)} such meshes, triangles kept": f(tm.improve, many, kept),
         f"30 steps of smooth on {len(many)} such meshes": f(tm.smooth, better, steps),
+        f"femwarp of {len(many)} such meshes": f(tm.femwarp, better, sheared),
+        "conservative transfer between two such meshes": f(
+            tm.transfer, before, after, before.points[:, 0], method="conservative"
+        ),
         f"flip_to_delaunay, {len(large.triangles):,} triangles": f(tm.flip_to_delaunay, large),
         f"nn.Untangle of {given.layers} meshes of 200 triangles, forward and backward": f(train, layer, positions),
     }
