@@ -8,10 +8,10 @@ from torchmesh import Status, UntangleOptions, join, untangle
 from torchmesh.kernels import continuation, library
 
 OPTIONS = {
-    "as it is": UntangleOptions(),
-    "few values": UntangleOptions(max_continuations=1, max_iterations=2, size_sweeps=(20,)),
-    "little work": UntangleOptions(work=20 * 2000, least_steps=20, size_sweeps=(20,)),
-    "short steps": UntangleOptions(max_iterations=2, stall_patience=2, stall_ratio=1.0, stall_depth=0.0),
+    "as it is": UntangleOptions(newton=None),
+    "few values": UntangleOptions(max_continuations=1, max_iterations=2, size_sweeps=(20,), newton=None),
+    "little work": UntangleOptions(work=20 * 2000, least_steps=20, size_sweeps=(20,), newton=None),
+    "short steps": UntangleOptions(max_iterations=2, stall_patience=2, stall_ratio=1.0, stall_depth=0.0, newton=None),
 }
 
 
