@@ -6,9 +6,10 @@ copies to the processor and from it, and what Python waits for (`bool`, `int`, `
 values).
 """
 
-import traceback
+import sys
 from collections import Counter
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import torch
@@ -154,7 +155,10 @@ def run(mode: "Pretended | None", func: Any, args: Any, kwargs: dict[str, Any]) 
 
 def place() -> str:
     """The innermost line of the package that is at work."""
-    for frame in reversed(traceback.extract_stack()):
-        if frame.filename.startswith(str(PACKAGE)):
-            return f"{Path(frame.filename).relative_to(PACKAGE)}:{frame.lineno} {frame.name}"
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if name.startswith(str(PACKAGE)):
+            return f"{Path(name).relative_to(PACKAGE)}:{frame.f_lineno} {frame.f_code.co_name}"
+        frame = frame.f_back
     return "outside"

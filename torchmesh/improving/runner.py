@@ -184,14 +184,15 @@ class Log:
 
     def _write(self, name: str, state: State, at: Tensor, seconds: float, work: Work) -> None:
         """Write a row for each of the meshes `at`, of which `work` has a row each, and call the observer."""
-        q = state.quality
-        columns = (q.mean[at], q.max[at], q.inverted[at], work.flips, work.iterations, work.cavities, work.kept)
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        for b, (mean, worst, inverted, flips, iterations, cavities, kept) in zip(
-            at.nonzero().squeeze(1).tolist(), rows, strict=True
-        ):
-            step = Step(name, mean, worst, inverted, flips, iterations, seconds, cavities, kept)
-            self.add(b, step)
+        q, meshes = state.quality, at.nonzero().squeeze(1)
+        of_meshes = (column.index_select(0, meshes) for column in (q.mean, q.max, q.inverted))
+        columns = (meshes, *of_meshes, work.flips, work.iterations, work.cavities, work.kept)
+        # All in one table: another device is waited for once.  Counts are far below 2^53.
+        table = torch.stack([column.to(torch.float64) for column in columns]).T.tolist()
+        for b, mean, worst, inverted, flips, iterations, cavities, kept in table:
+            counts = int(flips), int(iterations)
+            step = Step(name, mean, worst, int(inverted), *counts, seconds, int(cavities), bool(kept))
+            self.add(int(b), step)
         if self.observe is not None:
             self.observe(name, state.mesh)
 

@@ -51,7 +51,3 @@ class Blocks(NamedTuple):
     def largest(self, per_block: Tensor) -> Tensor:
         """(K,) numbers that are not negative to the largest (B,) of each problem."""
         return torch.segment_reduce(per_block, "max", offsets=self.offsets, initial=0.0)
-
-    def rows(self, problems: Tensor) -> Tensor:
-        """(R,) int64, the blocks of the `problems` (B,) bool."""
-        return problems.index_select(0, self.owner).nonzero().squeeze(1)

@@ -231,7 +231,8 @@ def _step(state: State, options: LbfgsOptions, iteration: int) -> State:
     running = state.per_problem.status == Status.RUNNING
     possible = running & (trial.change > -torch.inf)
     good = possible & (trial.change <= options.sufficient_decrease * trial.slope)
-    if bool(good.all()):
+    # On another device it takes longer to hear of this than to do without.
+    if good.device.type == "cpu" and bool(good.all()):
         state = _all_accept(state, options, slot, trial, good)
     else:
         good |= possible & _flatter(state, trial)
@@ -305,12 +306,13 @@ def _some_accept(state: State, options: LbfgsOptions, slot: int, trial: _Trial, 
     A problem whose step was refused stays where it is, with its direction, and its history has a zero in this slot.
     """
     _, blocks, at, each, history = state
-    stay = blocks.rows(~good)
-    old = at.direction[stay]
-    trial.x[stay], trial.gradient[stay] = at.x[stay], history.gradient[stay]
-    history.step(slot).index_fill_(0, stay, 0.0)
+    stay = blocks.spread(~good)
+    trial = trial._replace(
+        x=torch.where(stay, at.x, trial.x), gradient=torch.where(stay, history.gradient, trial.gradient)
+    )
+    history.step(slot).masked_fill_(stay, 0.0)
     direction, descent = _advance(history, options, slot, trial, good)
-    direction[stay] = old
+    direction = torch.where(stay, at.direction, direction)
     length = torch.where(running, _shortened(each, trial.change, options), each.length)
     return state._replace(
         per_block=PerBlock(trial.x, direction, at.scale, at.metric),

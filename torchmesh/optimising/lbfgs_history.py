@@ -98,7 +98,8 @@ class History:
         # As |g|^2 - |g - y|^2 is 2 y'g - y'y.
         sy, yy = self.products[:, slot] - slope, 2 * self.products[:, m + slot] - change[:, -1]
         curved = good & (sy > -least_curvature * slope) & (yy > 0)
-        if bool(curved.all()):
+        # On another device it takes longer to hear of this than to do without.
+        if curved.device.type == "cpu" and bool(curved.all()):
             self.gamma = sy / yy
         else:
             sy, yy = torch.where(curved, sy, 1.0), torch.where(curved, yy, 0.0)
@@ -152,9 +153,9 @@ class History:
 
     def _drop(self, keep: Tensor, slots: list[int]) -> None:
         """Make the vectors in `slots` zero where `keep` (B,) is false."""
-        gone = self.blocks.rows(~keep)
+        gone = self.blocks.spread(~keep)
         for i in slots:
-            self.vectors[:, i].index_fill_(0, gone, 0.0)
+            self.vectors[:, i].masked_fill_(gone, 0.0)
             self.products[:, i].masked_fill_(~keep, 0.0)
 
     def _products(self) -> Tensor:

@@ -354,10 +354,10 @@ def mean_at_vertices(edges: Tensor, length: Tensor, batch: MeshBatch) -> tuple[T
 
 
 def log(values: Tensor) -> Tensor:
-    """The logarithm by numpy, whose bits do not depend on where in a vector a number stands."""
-    return torch.from_numpy(np.log(values.cpu().numpy())).to(values.device)
+    """The logarithm; on the processor by numpy, whose bits do not depend on where in a vector a number stands."""
+    return torch.from_numpy(np.log(values.numpy())) if values.device.type == "cpu" else values.log()
 
 
 def exp(values: Tensor) -> Tensor:
-    """The exponential by numpy, for the same reason."""
-    return torch.from_numpy(np.exp(values.cpu().numpy())).to(values.device)
+    """The exponential, likewise."""
+    return torch.from_numpy(np.exp(values.numpy())) if values.device.type == "cpu" else values.exp()
