@@ -9,6 +9,8 @@ import torchmesh as tm
 from tests.meshes import disturbed, grid, jittered, mixed, quad_layers
 from torchmesh import ImproveOptions, MeshBatch, SmoothOptions, Status, UntangleOptions
 from torchmesh.bench.catalogue import chosen
+from torchmesh.improving import strategies
+from torchmesh.improving.runner import Work
 from torchmesh.mesh.quads import halved, whole
 from torchmesh.optimising.targets import quad_targets_from
 
@@ -220,3 +222,19 @@ def test_a_motion_splits_no_quad_and_says_how_vertices_may_come_on_arrival():
     report.check()
     with pytest.raises(ValueError, match="take topology 'flip', and improve"):
         tm.deform(mesh, goal, options=tm.DeformOptions(improve=ImproveOptions(topology="full")))
+
+
+def test_newton_mends_quads_that_nothing_else_does_where_edges_may_flip_too(monkeypatch):
+    """On a ring whose inner circle has turned, as the zones of a public mesh, whose quads L-BFGS left tangled."""
+    turn, radii = torch.arange(16) * (2 * math.pi / 16), torch.logspace(-0.3, 0.6, 5)
+    angle = torch.where(radii == radii[0], math.radians(150), 0.0)[:, None] + turn
+    points = torch.stack([radii[:, None] * angle.cos(), radii[:, None] * angle.sin()], 2).reshape(-1, 2).double()
+    low = torch.arange(64)
+    beside = low - low % 16 + (low + 1) % 16
+    ring = MeshBatch.from_arrays(points, [], quads=torch.stack([low, low + 16, beside + 16, beside], 1))
+    assert int(tm.quality(ring).inverted[0]) == 16
+    monkeypatch.setattr(strategies, "regularised", lambda _: lambda state, _: (state, Work.done(state)))
+    after, report = tm.improve(ring)
+    assert "newton" in [step.stage for step in report.steps[0]]
+    report.check()
+    assert torch.equal(after.quads, ring.quads)

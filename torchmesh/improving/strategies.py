@@ -162,7 +162,8 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         walled = torch.zeros_like(bounded).index_fill_(0, constraint_owner(state.mesh), True)
         bounded &= state.faulty | ~walled
     # Nor do they anything for quads, whose edges stay.
-    bounded &= state.faulty | (counts_from_offsets(state.mesh.quad_offsets) == 0)
+    with_quads = counts_from_offsets(state.mesh.quad_offsets) > 0
+    bounded &= state.faulty | ~with_quads
     unbounded = UntangleOptions(newton=None)
     for at, options in ((hopeful & bounded, o.rounds.last_untangling), (hopeful & ~bounded, unbounded)):
         if not bool(at.any()):
@@ -172,11 +173,15 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         elsewhere = segment_any((state.averaged != state.given.points).any(1), state.given.point_offsets)
         again = regularised(replace(options, size_sweeps=(100,)))
         state, _ = run("regularised", attempt(again, _averaged), state, state.tangled & at & elsewhere)
-    if not o.may_flip:
+    # What the other ways leave of quads is tried by second-order ways, too, if anything can move.
+    free = segment_any(~state.mesh.fixed, state.mesh.point_offsets)
+    kept = with_quads & free if o.may_flip else torch.ones_like(with_quads)
+    if bool((kept & state.tangled).any()):
         # A boundary that crosses itself is seldom that of a valid mesh, so that less is tried there.
-        for at, ways in ((~state.faulty, o.rounds.newton), (state.faulty, o.rounds.newton_beside_faults)):
+        sound = o.rounds.newton_of_quads if o.may_flip else o.rounds.newton
+        for at, ways in ((~state.faulty, sound), (state.faulty, o.rounds.newton_beside_faults)):
             options = UntangleOptions("newton", newton=ways)
-            at = at & state.tangled & ~state.impossible
+            at = at & kept & state.tangled & ~state.impossible
             state, _ = run("newton", attempt(newton(options), _given), state, at)
     if o.may_flip:
         # Where fewer triangles are inverted than before, cavities round them are smaller, and may have a boundary that
