@@ -64,7 +64,7 @@ def positions(form: str, folder: Path) -> str:
 def modes(form: str, folder: Path) -> str:
     """Text or binary: "both" if `like` decides between them, "either" if the format has both and it does not."""
     if form not in ("vtu", "vtk", "gmsh", "ply", "stl"):
-        binary = dict.fromkeys(("med", "exodus", "h5m", "hmf", "vtkhdf", "selafin"), "binary")
+        binary = dict.fromkeys(("med", "exodus", "h5m", "hmf", "vtkhdf", "selafin", "cgns"), "binary")
         return {**binary, "vtp": "both"}.get(form, "text")
     for binary in (True, False):
         path = folder / f"mode{FORMATS[form].extensions[0]}"

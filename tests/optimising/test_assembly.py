@@ -27,7 +27,7 @@ def independent_energy(name, points, triangles, target_sides):
     if name == "untangle-beta":
         area = det / 2
         return (((area - energy.beta).abs() - (area - energy.beta)) / 2).square().sum()
-    if name == "lifted content":
+    if name == "lifted":
         return torch.sqrt(det**2 + energy.alpha * norm2 + energy.alpha**2).sum()
     chi = (det + torch.sqrt(energy.eps**2 + det**2)) / 2
     return ((1 - energy.theta) * norm2 / chi + energy.theta * (1 + det**2) / chi).sum()
