@@ -16,7 +16,9 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, holding
+from ..mesh.measure import upright
 from ..mesh.quads import quads_as_halves
+from ..mesh.ragged import segment_any
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from .fixed_quads import fixed_quads, is_half
 from .meetings import crossings, duplicates, overlaps, wrong_touchings
@@ -41,6 +43,7 @@ def diagnose(
     most: int = 20,
     *,
     interfaces: Interfaces | None = None,
+    thorough: bool = False,
 ) -> list[Problem]:
     """Everything about the fixed vertices and edges of each mesh that leaves it no valid triangulation.
 
@@ -50,6 +53,8 @@ def diagnose(
               obstructions there are: a mesh without a problem may still have no valid positions
     most      how many problems of one kind are told of one mesh
     interfaces  "free": the ends of constrained edges may move; otherwise they are fixed, too
+    thorough  with "keep": where nothing is found, look for a proof that goes from vertex to vertex, which takes up to
+              seconds (`ProblemKind.NO_PLACE`)
 
     A mesh, or a piece of it, that has no inverted triangle is valid, and nothing is said of it.
     A boundary may touch itself, in vertices or along edges, with vertices of its own on each side, as
@@ -75,6 +80,28 @@ def diagnose(
             told[kind] = told.get(kind, 0) + 1
             if told[kind] <= most:
                 problems.append(Problem(kind, text, b, vertices, place))
+    if thorough and keep and not len(batch.quads):
+        problems += _proved(batch, {problem.mesh for problem in problems})
+    return sorted(problems, key=lambda problem: problem.mesh)
+
+
+def _proved(batch: MeshBatch, known: set[int]) -> list[Problem]:
+    """What a search from vertex to vertex proves of the meshes that are not `known` to have problems."""
+    from .no_place import vertex_without_place
+
+    problems = []
+    tangled = segment_any(~upright(batch), batch.triangle_offsets)
+    for b in tangled.nonzero().squeeze(1).tolist():
+        proof = None if b in known else vertex_without_place(batch[b])
+        if proof is not None:
+            v = proof.vertex
+            ring = batch[b].triangles[(batch[b].triangles == v).any(1)].unique()
+            place = position_of(batch[b].points[ring[ring != v]].mean(0).cpu().numpy())
+            text = (
+                f"vertex {v} has no place: wherever it is in the domain, its edges do not reach what they have to "
+                f"reach ({len(proof.steps)} steps prove it)"
+            )
+            problems.append(Problem(ProblemKind.NO_PLACE, text, b, (v,), place, proof))
     return problems
 
 

@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from .no_place import NoPlace
 
 
 class ProblemKind(str, Enum):
@@ -23,6 +26,7 @@ class ProblemKind(str, Enum):
     FIXED_QUAD = "a corner of a quad with three fixed vertices is not upright"
     FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
     NO_KERNEL = "the fixed ring round a free vertex leaves it no place"
+    NO_PLACE = "the edges of a free vertex are too few to reach from any place what they have to reach"
 
     @property
     def local(self) -> bool:
@@ -48,6 +52,7 @@ class Problem:
     mesh      the mesh of the batch
     vertices  the vertices concerned, numbered within their mesh
     place     the position, about, in the mesh's length unit
+    proof     of NO_PLACE: the `NoPlace` that `torchmesh.diagnosing.no_place.check_no_place` checks step by step
     """
 
     kind: ProblemKind
@@ -55,6 +60,7 @@ class Problem:
     mesh: int
     vertices: tuple[int, ...]
     place: tuple[float, float]
+    proof: "NoPlace | None" = None
 
 
 class Finding(NamedTuple):

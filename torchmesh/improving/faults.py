@@ -41,6 +41,23 @@ def find_faults(state: State, run: Runner, o: ImproveOptions) -> State:
     return run.quietly("diagnose", partial(_with_faults, o=o), state, state.tangled)
 
 
+def prove_impossible(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Look for a proof that the triangles have no valid positions, in meshes that are tangled still without a fault."""
+    at = state.tangled & ~state.impossible & ~state.faulty
+    return run.quietly("prove", partial(_with_proofs, o=o), state, at)
+
+
+def _with_proofs(state: State, o: ImproveOptions) -> State:
+    from ..diagnosing.diagnosis import diagnose
+
+    faults, impossible = list(state.faults), state.impossible.clone()
+    for problem in diagnose(state.given, "keep", interfaces=state.origin.interfaces, thorough=True):
+        if not faults[problem.mesh]:
+            faults[problem.mesh] = problem.message
+            impossible[problem.mesh] = problem.kind.proves
+    return replace(state, faults=tuple(faults), impossible=impossible)
+
+
 def faults_of(mesh: MeshBatch) -> "list[Problem]":
     """The faults of meshes that triangulation cannot mend, whose places are to be marked; few for each mesh."""
     from ..diagnosing.diagnosis import diagnose

@@ -32,7 +32,7 @@ from ..status import Status
 from ..untangling.gathering import gathered
 from ..untangling.options import UntangleOptions
 from .ending import certify, compare_sizes
-from .faults import end_the_tangled, find_faults, taken_back
+from .faults import end_the_tangled, find_faults, prove_impossible, taken_back
 from .gains import where_it_pays, without_little_gains
 from .options import ImproveOptions
 from .rounding import put_back_what_stays, round_positions
@@ -177,6 +177,8 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
     free = segment_any(~state.mesh.fixed, state.mesh.point_offsets)
     kept = with_quads & free if o.may_flip else torch.ones_like(with_quads)
     if bool((kept & state.tangled).any()):
+        if not o.may_flip:
+            state = prove_impossible(state, run, o)
         # A boundary that crosses itself is seldom that of a valid mesh, so that less is tried there.
         sound = o.rounds.newton_of_quads if o.may_flip else o.rounds.newton
         for at, ways in ((~state.faulty, sound), (state.faulty, o.rounds.newton_beside_faults)):

@@ -19,7 +19,7 @@ class NewtonWays:
     steps_per_alpha    Newton steps at most for one of them
     steps_per_epsilon  Newton steps at most for one epsilon of the regularised functional
     max_continuations  values of epsilon at most
-    push_every         after so many of them areas are pushed from where the mesh is then
+    first_push         after so many of them, and then twice as many each time, areas are pushed from where the mesh is
     """
 
     size_sweeps: tuple[int, ...] = (100, 1000, 20)
@@ -28,11 +28,11 @@ class NewtonWays:
     alphas: tuple[float, ...] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
     steps_per_alpha: int = 60
     steps_per_epsilon: int = 10
-    max_continuations: int = 100
-    push_every: int = 6
+    max_continuations: int = 120
+    first_push: int = 6
 
     def __post_init__(self) -> None:
-        for name in ("pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "push_every"):
+        for name in ("pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "first_push"):
             if getattr(self, name) < 1:
                 raise ValueError(f"NewtonWays.{name} must be at least 1, not {getattr(self, name)}")
         for name in ("alphas", "betas"):

@@ -168,7 +168,7 @@ def _regularised(task: _Task, points: Tensor, sweeps: int) -> bool:
     """Falling epsilon; are the triangles upright in the end?"""
     options, (system, _) = task.options, task.system(sweeps)
     newton = ProjectedOptions(max_iterations=options.steps_per_epsilon)
-    eps = 1.0
+    eps, push_at = 1.0, options.first_push
     for turn in range(options.max_continuations):
         found = minimise_by_projection(system, points, Regularised(eps), newton, enough=True)
         points, lowest = found.points, float(found.det.min())
@@ -178,8 +178,10 @@ def _regularised(task: _Task, points: Tensor, sweeps: int) -> bool:
         new = _next(eps, lowest, found.start, found.energy)
         if found.iterations == 0 and new >= 0.999 * eps:
             break
-        if turn % options.push_every == options.push_every - 1 and _pushed(task, points, sweeps):
-            return True
+        if turn + 1 == push_at:
+            push_at *= 2
+            if _pushed(task, points, sweeps):
+                return True
         eps = min(eps, new)
     return task.give(points)
 

@@ -1,0 +1,87 @@
+"""Vertices without a place: the proof holds step by step, says nothing of meshes that can be valid, and is told."""
+
+from dataclasses import replace
+
+import meshes
+import numpy as np
+import pytest
+import torch
+
+import torchmesh as tm
+from torchmesh.bench import boundary
+from torchmesh.diagnosing.no_place import NoPlace, Step, check_no_place, no_place, vertex_without_place
+from torchmesh.learning.outlines import bent_band, laid_along
+from torchmesh.mesh.connectivity import boundary_edges
+
+
+def laid(sectors: int = 26, layers: int = 2, bends: int = 6) -> tm.MeshBatch:
+    """A disc whose boundary is laid onto a band that bends so often."""
+    mesh = meshes.disc(sectors, layers)
+    loop = boundary.loops(mesh.triangles)[0]
+    points = mesh.points.clone()
+    points[loop] = torch.from_numpy(laid_along(bent_band(bends), len(loop)))
+    return tm.relax(mesh.with_points(points))
+
+
+@pytest.fixture(scope="module")
+def impossible():
+    """A mesh that can have no valid positions, and the proof."""
+    mesh = laid()
+    return mesh, vertex_without_place(mesh)
+
+
+def arrays(mesh):
+    return mesh.points.numpy(), mesh.triangles.numpy(), mesh.fixed.numpy()
+
+
+def test_a_disc_of_few_layers_does_not_reach_round_the_bends_of_a_band(impossible):
+    mesh, proof = impossible
+    assert proof is not None
+    assert check_no_place(*arrays(mesh), proof) == []
+    assert not bool(mesh.fixed[proof.vertex])
+    after, report = tm.improve(mesh, tm.ImproveOptions(topology="keep"))
+    assert report.status.tolist() == [tm.Status.PARTLY]  # fewer are inverted than before
+    assert f"vertex {proof.vertex} has no place" in report.messages[0]
+    assert bool(report.quality.inverted > 0)
+    assert torch.equal(after.triangles, mesh.triangles)
+    # Edges that flip reach it.
+    assert tm.improve(mesh)[1].valid.tolist() == [True]
+    assert tm.diagnose(mesh, "keep") == []
+    (problem,) = tm.diagnose(mesh, "keep", thorough=True)
+    assert problem.kind is tm.ProblemKind.NO_PLACE
+    assert problem.kind.proves
+    assert isinstance(problem.proof, NoPlace)
+
+
+def test_steps_that_do_not_hold_are_found(impossible):
+    mesh, proof = impossible
+    first = proof.steps[0]
+    assert check_no_place(*arrays(mesh), replace(proof, steps=proof.steps[1:]))
+    assert check_no_place(*arrays(mesh), replace(proof, steps=proof.steps[::-1]))
+    fixed = int(mesh.fixed.nonzero()[0])
+    for wrong in (Step(fixed, first.cell, first.fixed), Step(first.vertex, first.cell, neighbour=first.vertex)):
+        assert check_no_place(*arrays(mesh), replace(proof, steps=(wrong, *proof.steps)))
+    assert check_no_place(*arrays(mesh), replace(proof, cells=proof.cells[1:]))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_of_a_mesh_that_can_be_valid_nothing_is_proved(seed):
+    """However its free vertices lie: the search does not look at them."""
+    rng = np.random.default_rng(seed)
+    valid = tm.domains.generate(1, [["gate", "letter"][seed]], triangles=100, seed=seed).undeformed
+    throw = torch.from_numpy(rng.uniform(-1, 1, valid.points.shape))
+    mesh = valid.with_points(torch.where(valid.fixed[:, None], valid.points, throw))
+    assert vertex_without_place(mesh) is None
+    assert tm.diagnose(mesh, "keep", thorough=True) == []
+
+
+def test_holes_crossings_and_fixed_vertices_inside_prove_nothing_wrongly():
+    ring = meshes.ring(16, 4)
+    assert vertex_without_place(ring) is None
+    mesh = meshes.grid(6, 6)
+    held = replace(mesh, fixed=mesh.fixed | (torch.arange(len(mesh.points)) == 24))
+    assert vertex_without_place(held) is None
+    crossed = mesh.points.clone()
+    crossed[0] = torch.tensor([2.0, 0.5])
+    edges = boundary_edges(mesh.triangles, mesh.twin).numpy()
+    assert no_place(crossed.numpy(), *arrays(mesh)[1:], edges) is None
