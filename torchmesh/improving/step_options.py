@@ -28,7 +28,8 @@ class Rounds:
     last_untangling      the regularised functional as the last resort where edges may flip, and beside a fault: its
                          work is bounded, since hardly a mesh gets so far that can be untangled
     newton               the second-order ways where triangles stay, for the meshes that are tangled still
-    newton_beside_faults  the same for meshes with a fault that does not prove them impossible
+    newton_beside_faults  the same for meshes with a fault that does not prove them impossible; None: they are seldom
+                         those of a valid mesh, and the ways take seconds to find that out
     newton_of_quads      the same for meshes with quads where edges may flip; two zones of quads round a cylinder (SU2's
                          MeshCHT, 4,524 quads, 117 folded) took 40 continuations, and hopeless ones cost seconds
     rings_round_faults   where a fault leaves triangles inverted, so many rings of vertices round them stay as they are
@@ -44,7 +45,7 @@ class Rounds:
     )
     newton: NewtonWays = field(default_factory=NewtonWays)
     newton_of_quads: NewtonWays = field(default_factory=lambda: NewtonWays((100,), max_continuations=40))
-    newton_beside_faults: NewtonWays = field(default_factory=lambda: NewtonWays((100,), max_continuations=12))
+    newton_beside_faults: NewtonWays | None = None
     rings_round_faults: int = 2
 
     def __post_init__(self) -> None:

@@ -182,6 +182,8 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
         # A boundary that crosses itself is seldom that of a valid mesh, so that less is tried there.
         sound = o.rounds.newton_of_quads if o.may_flip else o.rounds.newton
         for at, ways in ((~state.faulty, sound), (state.faulty, o.rounds.newton_beside_faults)):
+            if ways is None:
+                continue
             options = UntangleOptions("newton", newton=ways)
             at = at & kept & state.tangled & ~state.impossible
             state, _ = run("newton", attempt(newton(options), _given), state, at)

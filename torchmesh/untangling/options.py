@@ -19,6 +19,9 @@ class NewtonWays:
     steps_per_alpha    Newton steps at most for one of them
     steps_per_epsilon  Newton steps at most for one epsilon of the regularised functional
     max_continuations  values of epsilon at most
+    stall_patience, stall_ratio, stall_depth  the regularised functional ends where nothing is gained, by the rule of
+                       `UntangleOptions`.  Of some 20 hard meshes (turned rings, letters, spirals) those that it solved
+                       took 6 to 24 epsilons and never met the rule; the others met it after 11 to 40, or had the 60
     first_push         after so many of them, and then twice as many each time, areas are pushed from where the mesh is
     """
 
@@ -28,13 +31,22 @@ class NewtonWays:
     alphas: tuple[float, ...] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
     steps_per_alpha: int = 60
     steps_per_epsilon: int = 10
-    max_continuations: int = 120
+    max_continuations: int = 60
+    stall_patience: int = 10
+    stall_ratio: float = 0.9
+    stall_depth: float = 8.0
     first_push: int = 6
 
     def __post_init__(self) -> None:
-        for name in ("pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "first_push"):
+        counts = ("pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "stall_patience", "first_push")
+        for name in counts:
             if getattr(self, name) < 1:
                 raise ValueError(f"NewtonWays.{name} must be at least 1, not {getattr(self, name)}")
+        if not 0 < self.stall_ratio <= 1 or not self.stall_depth >= 0:
+            raise ValueError(
+                "NewtonWays.stall_ratio must be above 0 and at most 1, and stall_depth not negative, not "
+                f"{self.stall_ratio} and {self.stall_depth}"
+            )
         for name in ("alphas", "betas"):
             if not all(v > 0 for v in getattr(self, name)):
                 raise ValueError(f"NewtonWays.{name} must all be positive, not {getattr(self, name)!r}")

@@ -133,16 +133,12 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     sizes = options.size_sweeps if rest is None else (_REST, *options.size_sweeps)
     if task.give(task.scaled(embedded)):
         return best
-    starts = [embedded] if torch.equal(embedded, mesh.points) else [embedded, mesh.points]
-    for start in starts:
-        for way, sweeps in (
-            (_pushed, sizes[0]),
-            (_lifted, sizes[0]),
-            *((_regularised, sweeps) for sweeps in sizes),
-            *((_lifted, sweeps) for sweeps in sizes[1:]),
-        ):
-            if way(task, task.scaled(start), sweeps):
-                return best
+    first = sizes[0]
+    ways = [(embedded, _pushed, first), (embedded, _lifted, first)]
+    ways += [(embedded, _regularised, sweeps) for sweeps in sizes]
+    if not torch.equal(embedded, mesh.points):
+        ways += [(mesh.points, _pushed, first), (mesh.points, _regularised, first)]
+    any(way(task, task.scaled(start), sweeps) for start, way, sweeps in ways)
     return best
 
 
@@ -169,11 +165,14 @@ def _regularised(task: _Task, points: Tensor, sweeps: int) -> bool:
     options, (system, _) = task.options, task.system(sweeps)
     newton = ProjectedOptions(max_iterations=options.steps_per_epsilon)
     eps, push_at = 1.0, options.first_push
+    lows, counts = list[float](), list[int]()
     for turn in range(options.max_continuations):
         found = minimise_by_projection(system, points, Regularised(eps), newton, enough=True)
         points, lowest = found.points, float(found.det.min())
         task.best.iterations += found.iterations
-        if lowest > 0:
+        lows.append(lowest)
+        counts.append(int((found.det <= 0).sum()))
+        if lowest > 0 or _stalls(lows, counts, eps, options):
             break
         new = _next(eps, lowest, found.start, found.energy)
         if found.iterations == 0 and new >= 0.999 * eps:
@@ -184,6 +183,17 @@ def _regularised(task: _Task, points: Tensor, sweeps: int) -> bool:
                 return True
         eps = min(eps, new)
     return task.give(points)
+
+
+def _stalls(lows: list[float], counts: list[int], eps: float, options: NewtonWays) -> bool:
+    """Whether nothing is gained, by the lowest determinants and the numbers of inverted triangles, one an epsilon.
+
+    The rule is that of the first-order method (`UntangleOptions.stall_patience`).
+    """
+    if len(lows) <= options.stall_patience or lows[-1] >= -options.stall_depth * eps:
+        return False
+    before = -1 - options.stall_patience
+    return lows[-1] < options.stall_ratio * lows[before] and counts[-1] >= options.stall_ratio * counts[before]
 
 
 def _next(eps: float, lowest: float, before: float, after: float) -> float:
