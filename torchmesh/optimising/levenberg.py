@@ -26,7 +26,9 @@ class LevenbergOptions:
     good, poor         a step that lowers the energy by at least this part of what the model says did well, by less than
                        that part badly
     most, least        the damping never leaves these bounds; beyond `most` the work ends
-    energy_tolerance   stop when a good step lowers the energy by less than this part
+    energy_tolerance   stop when a step under little damping lowers the energy by less than this part; at 1e-3 none of
+                       the hard meshes was lost that areas pushed upright, and hopeless ones took half of the time that
+                       they took at 1e-10
     """
 
     max_iterations: int = 60
@@ -37,7 +39,7 @@ class LevenbergOptions:
     poor: float = 0.25
     most: float = 1e8
     least: float = 1e-12
-    energy_tolerance: float = 1e-10
+    energy_tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
         if self.max_iterations < 1:
