@@ -8,6 +8,7 @@ from meshes import VALID, disc, disturbed, equilateral, grid, jittered, ring
 
 import torchmesh as tm
 from torchmesh import losses
+from torchmesh.learning import scales
 from torchmesh.mesh.triangle import corners, inverse_mean_ratio
 
 LOSSES = {
@@ -203,3 +204,22 @@ def test_minimising_a_loss_untangles():
     assert int(tm.quality(mesh).inverted) > 0
     optimiser.step(closure)
     assert int(tm.quality(mesh.with_points(points.detach())).inverted) == 0
+
+
+def test_scales_are_computed_once_for_a_mesh_and_anew_when_it_changes(monkeypatch):
+    mesh = jittered(5, 4, 0.2, seed=3)
+    mesh = mesh.with_points(mesh.points.clone())
+    calls = []
+    original = scales.local_size
+    monkeypatch.setattr(scales, "local_size", lambda batch: calls.append(1) or original(batch))
+    first = tm.losses.regularised(mesh.points + 0.01, mesh)
+    assert torch.equal(tm.losses.regularised(mesh.points + 0.01, mesh), first)
+    assert torch.equal(tm.losses.regularised(mesh.points + 0.01, mesh.with_points(mesh.points)), first)
+    assert len(calls) == 1
+    mesh.points.mul_(2)
+    second = tm.losses.regularised(mesh.points + 0.02, mesh)
+    torch.testing.assert_close(second, first)
+    assert len(calls) == 2
+    with torch.inference_mode():
+        mine = mesh.with_points(mesh.points * 1)
+        torch.testing.assert_close(tm.losses.regularised(mine.points + 0.02, mine), second)
