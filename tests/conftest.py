@@ -1,5 +1,6 @@
 """Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock; which tests are slow."""
 
+import os
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,6 +14,8 @@ from hypothesis import HealthCheck, settings
 from torchmesh.kernels import library
 
 torch.set_num_threads(1)
+# The compiler's pool leaves threads behind, and `improve` forks no process that has any.
+os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
 
 FOLDER = Path(__file__).parent
 

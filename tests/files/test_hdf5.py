@@ -10,7 +10,7 @@ import torch
 from meshes import TANGLED, VALID, grid, l_shape
 
 import torchmesh as tm
-from torchmesh.files import hdf5, hdf5_layout
+from torchmesh.files import hdf5_layout, hdf5_reading
 from torchmesh.mesh.batch import MeshBatch
 
 TILTED = tm.MeshBatch.from_arrays([[0.0, 0, 1], [1, 0, 2], [0, 1, 1], [1, 1, 2]], [[0, 1, 2], [1, 3, 2]])
@@ -281,8 +281,8 @@ def test_many_meshes_that_are_the_same_come_back_and_are_read_in_parts_if_they_s
     batch = tm.join([grid()] * 200)
     tm.save_batch(path, batch)
     assert torch.equal(tm.load_batch(path).points, batch.points)
-    monkeypatch.setattr(hdf5, "_AT_ONCE", 1000)
-    monkeypatch.setattr(hdf5, "_FACTOR", 1)
+    monkeypatch.setattr(hdf5_reading, "_AT_ONCE", 1000)
+    monkeypatch.setattr(hdf5_reading, "_FACTOR", 1)
     with pytest.raises(tm.MeshIOError, match="read fewer meshes at once"):
         tm.load_batch(path)
     assert torch.equal(tm.load_batch(path, 7).points, grid().points)
