@@ -1,9 +1,11 @@
 """One batch over several processes: cuts, order, failures, and the same bits as in one process."""
 
+import io
 import itertools
 import os
 import signal
 import sys
+import threading
 
 import meshes
 import pytest
@@ -73,6 +75,21 @@ def test_what_a_killed_worker_leaves_is_done_here():
 
     with pytest.warns(MeshWarning, match="worker process died"):
         assert list(over_processes(task, 4, 2)) == [0, 1, 2, 3]
+
+
+@forks
+def test_a_progress_bar_of_the_caller_is_no_reason_not_to_fork():
+    tqdm = pytest.importorskip("tqdm")
+    cpu = torch.device("cpu")
+    with tqdm.tqdm(total=1, file=io.StringIO()):
+        assert can_fork(cpu)
+    end = threading.Event()
+    thread = threading.Thread(target=end.wait)
+    thread.start()
+    safe = can_fork(cpu)
+    end.set()
+    thread.join()
+    assert not safe
 
 
 @forks

@@ -38,12 +38,14 @@ _R = TypeVar("_R")
 def can_fork(device: torch.device) -> bool:
     """Whether it is safe here to fork a process that works on tensors of `device`.
 
-    It is safe on Linux, with one Python thread, outside a daemonic worker (which may not have children).
+    It is safe on Linux, with one Python thread, outside a daemonic worker (which may not have children).  The thread in
+    which tqdm watches its progress bars does not count: it sleeps, and holds no lock but tqdm's own now and then.
     """
+    threads = sum(type(thread).__name__ != "TMonitor" for thread in threading.enumerate())
     return (
         sys.platform == "linux"
         and device.type == "cpu"
-        and threading.active_count() == 1
+        and threads == 1
         and not multiprocessing.current_process().daemon
     )
 
