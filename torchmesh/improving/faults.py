@@ -68,7 +68,8 @@ def faults_of(mesh: MeshBatch) -> "list[Problem]":
 def end_the_tangled(state: State, run: Runner, o: ImproveOptions) -> State:
     """Say how meshes end that are still tangled: impossible, mended but for the faults that were named, or stalled."""
     left, fewer = state.tangled, state.quality.inverted < state.inverted_given
-    state = taken_back(state, run, left & state.faulty & ~fewer)
+    more = state.quality.inverted > state.inverted_given
+    state = taken_back(state, run, left & (more | (state.faulty & ~fewer)))
     state = state.ended(left & state.impossible & ~fewer, Status.INFEASIBLE)
     state = state.ended(left & state.faulty & fewer, Status.PARTLY)
     return state.ended(state.tangled, Status.STALLED)
