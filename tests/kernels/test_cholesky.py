@@ -13,8 +13,6 @@ from torchmesh.kernels import cholesky, library
 from torchmesh.mesh.triangle import corners
 from torchmesh.optimising.laplacian import cotangent_weights, factorised, harmonic_extension, stiffness_blocks
 
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
-
 
 def rows_of(dense):
     """A dense matrix in compressed rows."""

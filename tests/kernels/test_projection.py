@@ -8,12 +8,10 @@ from pairs_of_meshes import pairs_of_meshes
 from scipy.sparse import coo_matrix
 
 from torchmesh import transfer
-from torchmesh.kernels import library, projection
+from torchmesh.kernels import projection
 from torchmesh.transferring.overlaps import overlaps
 from torchmesh.transferring.pairs import both_sides
 from torchmesh.transferring.projection import mixed_mass
-
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
 
 VALID_AFTER = [name for name in pairs_of_meshes() if name != "nothing in common"]
 

@@ -1,17 +1,13 @@
 """The blocks of the stiffness matrix, compiled, against their twin of scipy's matrices: the same bits."""
 
 import numpy as np
-import pytest
 import torch
 from both_loops import both
 from meshes import delaunay, grid, jittered, ring
 
 from torchmesh import join
-from torchmesh.kernels import library
 from torchmesh.mesh.triangle import corners
 from torchmesh.optimising.laplacian import cotangent_weights, stiffness_blocks
-
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
 
 
 def systems(generator):

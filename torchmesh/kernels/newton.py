@@ -49,14 +49,14 @@ def newton_for_meshes(
     valid                      (B,) bool, the meshes that are to move
     settings                   the fields of `optimising.newton.NewtonOptions`, `decrease` and `left`, by name
     """
-    alive: list[object] = [anchored.contiguous(), size.contiguous(), offsets.contiguous()]
-    alive.append(triangle_offsets.contiguous())
+    columns = [v.contiguous() for v in (anchored, size, offsets, triangle_offsets)]
+    alive: list[object] = []
     x, running = start.clone(), valid.clone()
     energy = torch.full((len(valid),), torch.nan, dtype=torch.float64)
     step = torch.full_like(energy, torch.inf)
     packed = triangles_argument(triangles, torch.float64, alive)
     problems = _Problems(
-        packed, *(pointer(v) for v in alive[:4]), len(x),  # type: ignore[arg-type]
+        packed, *(pointer(v) for v in columns), len(x),
         settings["cg_iterations"], settings["halvings"], *(settings[name] for name in _NUMBERS),
         *(pointer(v) for v in (x, energy, step, running)),
     )  # fmt: skip

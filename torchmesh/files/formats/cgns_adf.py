@@ -27,7 +27,7 @@ _TYPES = {"I4": "i4", "I8": "i8", "U4": "u4", "U8": "u8", "R4": "f4", "R8": "f8"
 class AdfNode(Tree):
     """A node of a file.
 
-    data      the bytes of the file; those of an array may be changed
+    data      the bytes of the file; a bytearray may be changed
     at        where the node begins
     location  its path
     """
@@ -70,7 +70,8 @@ class AdfNode(Tree):
         """Puts other values in place of the data."""
         raw = np.ascontiguousarray(values).astype(self._kind(self._text(96, 128))).tobytes()
         for start, end in self._spans():
-            self._data[start:end], raw = raw[: end - start], raw[end - start :]  # type: ignore[index]
+            self._write(start, raw[: end - start])
+            raw = raw[end - start :]
 
     def without(self, name: str) -> None:
         """Takes the node of that name out of the table of those below."""
@@ -78,8 +79,14 @@ class AdfNode(Tree):
         for entry in entries:
             if bytes(self._data[entry : entry + 32]).decode("latin-1").strip("\0 ") == name:
                 last = bytes(self._data[entries[-1] : entries[-1] + _ENTRY])
-                self._data[entry : entry + _ENTRY] = last  # type: ignore[index]
-                self._data[self._at + 68 : self._at + 76] = f"{len(entries) - 1:08X}".encode()  # type: ignore[index]
+                self._write(entry, last)
+                self._write(self._at + 68, f"{len(entries) - 1:08X}".encode())
+
+    def _write(self, start: int, raw: bytes) -> None:
+        """Puts bytes into the file, which must have been read to be changed."""
+        if not isinstance(self._data, bytearray):
+            raise TypeError("the bytes of a file that is only read cannot be changed")
+        self._data[start : start + len(raw)] = raw
 
     def _entries(self) -> list[int]:
         """Where the entries of the nodes below it stand."""
