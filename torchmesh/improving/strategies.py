@@ -179,7 +179,6 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
     if bool((kept & state.tangled).any()):
         if not o.may_flip:
             state = prove_impossible(state, run, o)
-        # A boundary that crosses itself is seldom that of a valid mesh, so that less is tried there.
         sound = o.rounds.newton_of_quads if o.may_flip else o.rounds.newton
         for at, ways in ((~state.faulty, sound), (state.faulty, o.rounds.newton_beside_faults)):
             if ways is None:
