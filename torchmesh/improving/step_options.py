@@ -46,9 +46,7 @@ class Rounds:
     )
     newton: NewtonWays = field(default_factory=NewtonWays)
     newton_of_quads: NewtonWays = field(
-        default_factory=lambda: NewtonWays(
-            (100,), betas=(0.3,), pushes=40, alphas=(0.1,), steps_per_alpha=10, max_continuations=1
-        )
+        default_factory=lambda: NewtonWays((100,), pushes=40, alphas=(0.1,), steps_per_alpha=10, max_continuations=1)
     )
     newton_beside_faults: NewtonWays | None = None
     rings_round_faults: int = 2
