@@ -7,9 +7,9 @@ from exact import boundary, directed_edges, double_areas, edge_counts, inverted,
 
 from torchmesh import MeshBatch
 from torchmesh.mesh import connectivity
-from torchmesh.mesh.batch import constrained_half_edges
 from torchmesh.mesh.certificate import same_frame
 from torchmesh.mesh.interfaces import holding
+from torchmesh.mesh.kept_edges import constrained_half_edges
 
 
 def assert_every_row_stays(before, after):

@@ -14,7 +14,7 @@ from hypothesis import given
 from torchmesh import FlipOptions, MeshBatch, flip_to_delaunay
 from torchmesh.flipping import rounds, rules
 from torchmesh.mesh import connectivity
-from torchmesh.mesh.batch import constrained_half_edges
+from torchmesh.mesh.kept_edges import constrained_half_edges
 
 
 @pytest.mark.parametrize("rule", [name for name, options in RULES.items() if not options.once])

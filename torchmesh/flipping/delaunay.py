@@ -6,8 +6,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from ..mesh.batch import MeshBatch, constrained_half_edges
+from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
+from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.quads import quads_as_halves
 from ..mesh.ragged import owner_of, spread
 from ..mesh.unfit import unfit_meshes

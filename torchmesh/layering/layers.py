@@ -17,8 +17,9 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from ..mesh.batch import MeshBatch, constrained_half_edges
+from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
+from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import upright
 
 # A first row is of at least so many quadrilaterals, side by side.

@@ -19,8 +19,9 @@ from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from ..errors import MeshIOError
 from ..files.hdf5_reading import BatchFile
-from ..mesh.batch import MeshBatch, constrained_half_edges, join, triangle_mesh, vertex_mesh
+from ..mesh.batch import MeshBatch, join, triangle_mesh, vertex_mesh
 from ..mesh.connectivity import edges, triangle_components
+from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.numbers import numbers_of
 from .domains import FAMILIES, DomainOptions, pairs
 

@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from .batch import MeshBatch, constrained_half_edges
+from .batch import MeshBatch
+from .kept_edges import constrained_half_edges
 
 
 def frozen_triangles(batch: MeshBatch, stays: Tensor | None = None) -> Tensor:

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from . import connectivity
-from .batch import MeshBatch, constrained_half_edges, triangle_mesh
+from .batch import MeshBatch, triangle_mesh
+from .kept_edges import constrained_half_edges
 from .triangle import corners, signed_area
 from .vertex_map import VertexMap
 

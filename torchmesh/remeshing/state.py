@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, constrained_half_edges, vertex_mesh
+from ..mesh.batch import MeshBatch, vertex_mesh
 from ..mesh.interfaces import Interfaces, interface_vertices
+from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from ..mesh.units import centre_and_unit

@@ -11,8 +11,9 @@ from torch import Tensor
 
 from ..flipping.rounds import edge_exists
 from ..flipping.rules import Quads, new_signs
-from ..mesh.batch import MeshBatch, constrained_half_edges, join, triangle_mesh
+from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.ragged import offsets_from_counts
 from ..mesh.submesh import repeated
 

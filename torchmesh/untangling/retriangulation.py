@@ -16,9 +16,10 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, constrained_half_edges, join
+from ..mesh.batch import MeshBatch, join
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.interfaces import Interfaces, holding
+from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import upright
 from ..optimising.laplacian import harmonic_extension
 from ..triangulating.arrays import Obstacle, among, distinct, signs
