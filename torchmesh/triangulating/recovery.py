@@ -61,54 +61,91 @@ def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
     return None
 
 
+class _Line:
+    """The segment from u to v; how far vertices are to the left of it, and along it, is computed once for each."""
+
+    def __init__(self, exact: Exact, u: int, v: int) -> None:
+        self.exact, self.u, self.v = exact, u, v
+        self.sides: dict[int, int] = {}
+        self.ways: dict[int, int] = {}
+
+    def side(self, p: int) -> int:
+        """`Exact.cross`."""
+        if p not in self.sides:
+            self.sides[p] = self.exact.cross(self.u, self.v, p)
+        return self.sides[p]
+
+    def along(self, p: int) -> int:
+        """`Exact.dot`."""
+        if p not in self.ways:
+            self.ways[p] = self.exact.dot(self.u, self.v, p)
+        return self.ways[p]
+
+
 def _recover_one(work: Triangulation, u: int, v: int, exact: Exact) -> Obstacle | None:
-    while True:
-        crossed, obstacle = _crossed(work, u, v, exact)
-        if obstacle:
-            return obstacle
-        if not crossed:
-            break
+    line = _Line(exact, u, v)
+    crossed, obstacle = _crossed(work, line, None)
+    while crossed:
         flat = work.corners.ravel()
         tails, heads = flat[crossed].tolist(), flat[next_in_triangle(np.array(crossed))].tolist()
-        w = max(heads, key=lambda p: (exact.cross(u, v, p), exact.dot(u, v, p)))
-        _, h = max(
-            ((z, h) for z, head, h in zip(tails, heads, crossed, strict=True) if head == w),
-            key=lambda zh: (-exact.cross(u, v, zh[0]), exact.dot(u, v, zh[0])),
+        w = max(heads, key=lambda p: (line.side(p), line.along(p)))
+        i = max(
+            (i for i, head in enumerate(heads) if head == w), key=lambda i: (-line.side(tails[i]), line.along(tails[i]))
         )
-        work.flip(np.array([h]))
+        work.flip(np.array([crossed[i]]))
+        # Of the half-edges crossed, only this one and the next are in the two triangles that have changed.
+        before, after = crossed[: max(i - 1, 0)], crossed[i + 2 :]
+        found, obstacle = _crossed(work, line, crossed[i - 1] if i else None, after[0] if after else None)
+        crossed = [] if obstacle else before + found + after
+    if obstacle:
+        return obstacle
     flat = work.corners.ravel()
     spokes = np.flatnonzero((flat == u) | (flat == v))
     work.locked[spokes[among(flat[next_in_triangle(spokes)], np.array([u, v]))]] = True
     return None
 
 
-def _crossed(work: Triangulation, u: int, v: int, exact: Exact) -> tuple[list[int], Obstacle | None]:
-    """The half-edges that the open segment uv crosses from right (tail) to left (head), in order."""
-    corners = work.corners
-    starts = np.flatnonzero(corners.ravel() == u).tolist()
-    spokes = [(h, int(corners[h // 3, (h + 1) % 3]), int(corners[h // 3, (h + 2) % 3])) for h in starts]
-    if any(v in (a, b) for _, a, b in spokes):
-        return [], None
-    for h, a, b in spokes:
-        for p in (a, b):
-            if exact.cross(u, v, p) == 0 and exact.dot(u, v, p) > 0:
-                return [], Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
-        if exact.cross(u, v, a) < 0 < exact.cross(u, v, b):
-            e = h - h % 3 + (h + 1) % 3
-            break
-    else:
-        return [], Obstacle("the edge [{}, {}] leaves the domain at vertex {}", (u, v, u))
-    crossed = []
-    while True:
+def _crossed(
+    work: Triangulation, line: _Line, start: int | None, end: int | None = None
+) -> tuple[list[int], Obstacle | None]:
+    """The half-edges that the line crosses from right (tail) to left (head), in order.
+
+    start  the one to begin with; None: the first one
+    end    the one before which to end; None: after the last one
+    """
+    crossed: list[int] = []
+    if start is None:
+        start, obstacle = _first_crossed(work, line)
+        if start is None:
+            return [], obstacle
+    corners, e = work.corners, start
+    while e != end:
         g = int(work.twin[e])
         if g < 0 or work.locked[e]:
             a, b = int(corners[e // 3, e % 3]), int(corners[e // 3, (e + 1) % 3])
-            return [], Obstacle("the edge [{}, {}] crosses the edge [{}, {}]", (u, v, a, b))
+            return [], Obstacle("the edge [{}, {}] crosses the edge [{}, {}]", (line.u, line.v, a, b))
         crossed.append(e)
         p = int(corners[g // 3, (g + 2) % 3])
-        if p == v:
-            return crossed, None
-        side = exact.cross(u, v, p)
+        if p == line.v:
+            break
+        side = line.side(p)
         if side == 0:
-            return [], Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
+            return [], Obstacle("the edge [{}, {}] passes through vertex {}", (line.u, line.v, p))
         e = g - g % 3 + (g + (1 if side > 0 else 2)) % 3
+    return crossed, None
+
+
+def _first_crossed(work: Triangulation, line: _Line) -> tuple[int | None, Obstacle | None]:
+    """The first half-edge that the line crosses; None where it is an edge, or for the obstacle."""
+    corners, u, v = work.corners, line.u, line.v
+    starts = np.flatnonzero(corners.ravel() == u).tolist()
+    spokes = [(h, int(corners[h // 3, (h + 1) % 3]), int(corners[h // 3, (h + 2) % 3])) for h in starts]
+    if any(v in (a, b) for _, a, b in spokes):
+        return None, None
+    for h, a, b in spokes:
+        for p in (a, b):
+            if line.side(p) == 0 and line.along(p) > 0:
+                return None, Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
+        if line.side(a) < 0 < line.side(b):
+            return h - h % 3 + (h + 1) % 3, None
+    return None, Obstacle("the edge [{}, {}] leaves the domain at vertex {}", (u, v, u))
