@@ -1,5 +1,6 @@
 import numpy as np
 from polygons import SQUARE
+from scipy.spatial import Delaunay
 
 from torchmesh.triangulating.arrays import signs
 from torchmesh.triangulating.polygon import loop_edges
@@ -23,3 +24,19 @@ def test_insert_refuses_duplicates_and_the_rim_and_splits_edges():
     assert {6, 8} < set(refused.tolist()) < {4, 5, 6, 8}
     assert is_triangulation_of(points, work.corners, loop_edges(np.arange(4)))
     assert set(work.corners.ravel().tolist()) == set(range(9)) - set(refused.tolist())
+
+
+def test_one_edge_alone_is_flipped_as_among_others(rng):
+    points = rng.uniform(size=(40, 2))
+    corners = Delaunay(points).simplices.astype(np.int64)
+    turned = signs(points, *corners.T) < 0
+    corners[turned] = corners[turned][:, [0, 2, 1]]
+    by_arrays, alone = (Triangulation(points.copy(), corners.copy(), np.ones(40)) for _ in range(2))
+    for work in (by_arrays, alone):
+        work.locked[::5] = True
+    for _ in range(200):
+        h = int(rng.choice(np.flatnonzero(by_arrays.twin >= 0)))
+        by_arrays.flip(np.array([h]))
+        alone.flip_one(h)
+        for name in ("corners", "twin", "locked"):
+            np.testing.assert_array_equal(getattr(alone, name), getattr(by_arrays, name), err_msg=name)

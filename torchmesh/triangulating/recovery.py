@@ -62,24 +62,21 @@ def recover(work: Triangulation, segments: np.ndarray) -> Obstacle | None:
 
 
 class _Line:
-    """The segment from u to v; how far vertices are to the left of it, and along it, is computed once for each."""
+    """The segment from u to v; how far vertices are to the left of it, and along it, is computed once for each.
+
+    places  by vertex, `Exact.cross` and `Exact.dot` of it
+    """
 
     def __init__(self, exact: Exact, u: int, v: int) -> None:
         self.exact, self.u, self.v = exact, u, v
-        self.sides: dict[int, int] = {}
-        self.ways: dict[int, int] = {}
+        self.places: dict[int, tuple[int, int]] = {}
 
-    def side(self, p: int) -> int:
-        """`Exact.cross`."""
-        if p not in self.sides:
-            self.sides[p] = self.exact.cross(self.u, self.v, p)
-        return self.sides[p]
-
-    def along(self, p: int) -> int:
-        """`Exact.dot`."""
-        if p not in self.ways:
-            self.ways[p] = self.exact.dot(self.u, self.v, p)
-        return self.ways[p]
+    def place(self, p: int) -> tuple[int, int]:
+        """How far p is to the left, and how far along."""
+        known = self.places.get(p)
+        if known is None:
+            known = self.places[p] = self.exact.cross(self.u, self.v, p), self.exact.dot(self.u, self.v, p)
+        return known
 
 
 def _recover_one(work: Triangulation, u: int, v: int, exact: Exact) -> Obstacle | None:
@@ -88,11 +85,9 @@ def _recover_one(work: Triangulation, u: int, v: int, exact: Exact) -> Obstacle 
     while crossed:
         flat = work.corners.ravel()
         tails, heads = flat[crossed].tolist(), flat[next_in_triangle(np.array(crossed))].tolist()
-        w = max(heads, key=lambda p: (line.side(p), line.along(p)))
-        i = max(
-            (i for i, head in enumerate(heads) if head == w), key=lambda i: (-line.side(tails[i]), line.along(tails[i]))
-        )
-        work.flip(np.array([crossed[i]]))
+        w = max(heads, key=line.places.__getitem__)
+        i = max((i for i, head in enumerate(heads) if head == w), key=lambda i: _right_of(line.places[tails[i]]))
+        work.flip_one(crossed[i])
         # Of the half-edges crossed, only this one and the next are in the two triangles that have changed.
         before, after = crossed[: max(i - 1, 0)], crossed[i + 2 :]
         found, obstacle = _crossed(work, line, crossed[i - 1] if i else None, after[0] if after else None)
@@ -103,6 +98,11 @@ def _recover_one(work: Triangulation, u: int, v: int, exact: Exact) -> Obstacle 
     spokes = np.flatnonzero((flat == u) | (flat == v))
     work.locked[spokes[among(flat[next_in_triangle(spokes)], np.array([u, v]))]] = True
     return None
+
+
+def _right_of(place: tuple[int, int]) -> tuple[int, int]:
+    """How far a `_Line.place` is to the right, and how far along."""
+    return -place[0], place[1]
 
 
 def _crossed(
@@ -128,7 +128,7 @@ def _crossed(
         p = int(corners[g // 3, (g + 2) % 3])
         if p == line.v:
             break
-        side = line.side(p)
+        side = line.place(p)[0]
         if side == 0:
             return [], Obstacle("the edge [{}, {}] passes through vertex {}", (line.u, line.v, p))
         e = g - g % 3 + (g + (1 if side > 0 else 2)) % 3
@@ -144,8 +144,9 @@ def _first_crossed(work: Triangulation, line: _Line) -> tuple[int | None, Obstac
         return None, None
     for h, a, b in spokes:
         for p in (a, b):
-            if line.side(p) == 0 and line.along(p) > 0:
+            side, along = line.place(p)
+            if side == 0 and along > 0:
                 return None, Obstacle("the edge [{}, {}] passes through vertex {}", (u, v, p))
-        if line.side(a) < 0 < line.side(b):
+        if line.place(a)[0] < 0 < line.place(b)[0]:
             return h - h % 3 + (h + 1) % 3, None
     return None, Obstacle("the edge [{}, {}] leaves the domain at vertex {}", (u, v, u))

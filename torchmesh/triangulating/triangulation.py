@@ -204,6 +204,25 @@ class Triangulation:
         self._move(old, new, partner, lock)
         self._pair(3 * t + 2, 3 * s + 2)
 
+    def flip_one(self, h: int) -> None:
+        """`flip` of one edge, in a tenth of the time that arrays of one number take."""
+        corners, twin, locked = self.corners, self.twin, self.locked
+        g = int(twin[h])
+        t, i, s, j = h // 3, h % 3, g // 3, g % 3
+        old = 3 * t + (i + 2) % 3, 3 * s + (j + 1) % 3, 3 * s + (j + 2) % 3, 3 * t + (i + 1) % 3
+        new = 3 * t, 3 * t + 1, 3 * s, 3 * s + 1
+        u, w, v, z = corners[t, i], corners[t, (i + 2) % 3], corners[s, j], corners[s, (j + 2) % 3]
+        renamed = dict(zip(old, new, strict=True))
+        outside = [(int(twin[e]), locked[e]) for e in old]
+        corners[t], corners[s] = (w, u, z), (z, v, w)
+        for e, (partner, lock) in zip(new, outside, strict=True):
+            partner = renamed.get(partner, partner)
+            twin[e], locked[e] = partner, lock
+            if partner >= 0:
+                twin[partner] = e
+        twin[3 * t + 2], twin[3 * s + 2] = 3 * s + 2, 3 * t + 2
+        locked[3 * t + 2] = locked[3 * s + 2] = False
+
     def _move(self, old: np.ndarray, new: np.ndarray, partner: np.ndarray, lock: np.ndarray) -> None:
         """Half-edges `old` are now called `new`; partner and lock are what they had."""
         order = np.argsort(old)
