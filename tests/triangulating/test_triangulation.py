@@ -34,9 +34,17 @@ def test_one_edge_alone_is_flipped_as_among_others(rng):
     by_arrays, alone = (Triangulation(points.copy(), corners.copy(), np.ones(40)) for _ in range(2))
     for work in (by_arrays, alone):
         work.locked[::5] = True
+    flipped = 0
     for _ in range(200):
         h = int(rng.choice(np.flatnonzero(by_arrays.twin >= 0)))
+        (w, u), (z, v) = (
+            (by_arrays.corners[e // 3, (e + 2) % 3], by_arrays.corners.flat[e]) for e in (h, by_arrays.twin[h])
+        )
+        if not (signs(points, *np.array([[w, u, z], [z, v, w]]).T) > 0).all():
+            continue
         by_arrays.flip(np.array([h]))
         alone.flip_one(h)
+        flipped += 1
         for name in ("corners", "twin", "locked"):
             np.testing.assert_array_equal(getattr(alone, name), getattr(by_arrays, name), err_msg=name)
+    assert flipped > 50
