@@ -136,8 +136,8 @@ def broken(tmp_path: Path, case: str) -> Path:
             points[:, 0], points[:, 2] = np.sin(turn), np.cos(turn)  # an arch that bends in again at both feet
         save(path, meshio.Mesh(points, [("triangle", faces)]))
     else:
-        kind = {"eight nodes": "quad8", "tetrahedra": "tetra", "no cells": "line"}[case]
-        rows = np.arange({"quad8": 8, "tetra": 4, "line": 2}[kind])[None]
+        kind = {"sixteen nodes": "VTK_LAGRANGE_QUADRILATERAL", "tetrahedra": "tetra", "no cells": "line"}[case]
+        rows = np.arange({"tetra": 4, "line": 2}.get(kind, 16))[None]
         save(path, meshio.Mesh(points, [(kind, rows)]), file_format="vtu")
     return path
 
@@ -158,7 +158,7 @@ def broken(tmp_path: Path, case: str) -> Path:
         ("no extension", MeshIOError, "no extension"),
         ("nan", InvalidMeshError, "points row 7 .*finite"),
         ("off the plane", InvalidMeshError, "points row .* off the plane.*no map of a plane: it bends over at"),
-        ("eight nodes", InvalidMeshError, "it has quad8 cells; of quads those of four nodes"),
+        ("sixteen nodes", MeshIOError, "its quads have 16 nodes: their order is too high"),
         ("no cells", InvalidMeshError, "no triangles: it has line cells only"),
         ("tetrahedra", InvalidMeshError, "tetra cells; only planar"),
     ],

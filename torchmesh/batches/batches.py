@@ -166,8 +166,9 @@ def _write(opened: _Opened, improved: ImprovedFile) -> FileResult:
     curved = improved.curved
     if curved is not None:
         facts["inverted_after"] = curved.all_inverted
-        if curved.inverted:
-            facts["message"] += f"; {curved.inverted:,} six-node triangles are inverted"
+        for count, what in ((curved.inverted, "six-node triangles"), (curved.inverted_quads, "curved quads")):
+            if count:
+                facts["message"] += f"; {count:,} {what} are inverted"
     target = Path(job.output)
     # A process number alone is not unique, because the machines of a cluster may share the folder.
     folder = Path(job.staging) / f"{socket.gethostname()}-{os.getpid()}"

@@ -49,7 +49,7 @@ class ImprovedFile:
     vertex_maps  (M,) where the vertices of each mesh come from; None where vertices keep number and order
     fields       what `write` does with the fields of the file
     height       what it does with the heights of a surface
-    placed       (M,) the meshes with their mid-side nodes, of a file with six-node triangles; None for others
+    placed       (M,) the meshes with their mid-side nodes, of a file with curved elements; None for others
     """
 
     given: Series
@@ -64,7 +64,7 @@ class ImprovedFile:
 
     @property
     def curved(self) -> CurvedSummary | None:
-        """Counts of the six-node triangles of all meshes together; None without any."""
+        """Counts of the curved elements of all meshes together; None without any."""
         return curved_summary(self.meshes, self.placed)
 
     def message(self) -> str:
@@ -151,7 +151,7 @@ def _explain(files: Sequence[Series], report: Report) -> None:
 
 
 def _curved(files: Sequence[Series]) -> bool:
-    """Has any file six-node triangles?"""
+    """Has any file triangles or quads with mid-side nodes?"""
     return any(source.middles is not None for file in files for source in file.sources)
 
 
@@ -178,16 +178,16 @@ def with_nodes(
 
 
 def curved_summary(meshes: Sequence[MeshBatch], placed: Sequence[Placed | None] | None) -> CurvedSummary | None:
-    """Counts of the six-node triangles of meshes together; None without any."""
+    """Counts of the curved elements of meshes together; None without any."""
     if placed is None:
         return None
     rest = [mesh for mesh, one in zip(meshes, placed, strict=True) if one is None]
     found = [one.summary() for one in placed if one is not None]
-    return CurvedSummary.of_all(found + [CurvedSummary(0, 0, int(quality(m).inverted.sum()), 1.0) for m in rest])
+    return CurvedSummary.of_all(found + [CurvedSummary.of_straight(m) for m in rest])
 
 
 def curved_counts(file: Series) -> CurvedSummary | None:
-    """Counts of the six-node triangles of the meshes of a file together, as they are in it; None without any."""
+    """Counts of the curved elements of the meshes of a file together, as they are in it; None without any."""
     return curved_summary([s.mesh for s in file.first_sources()], with_given_nodes(file))
 
 

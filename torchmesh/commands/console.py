@@ -198,20 +198,22 @@ def version() -> str:
     return version("torchmesh-untangle")
 
 
-# What a record calls the least scaled Jacobian of six-node triangles.
+# What a record calls the least scaled Jacobian of six-node triangles and of quads with mid-side nodes.
 CURVED = "minimum_scaled_jacobian"
 
 
 def inverted_text(q: "Quality", curved: "CurvedSummary | None" = None) -> str:
     """'3 inverted triangles and 1 inverted quad'; empty if there are none.
 
-    curved  counts of six-node triangles, which are judged by their Jacobians; None: there are none
+    curved  counts of curved elements, which are judged by their Jacobians; None: there are none
     """
+    from ..files.placed import CurvedSummary
+
     quads = int((~q.quad_upright).sum())
-    triangles = int(q.inverted.sum()) - quads if curved is None else curved.inverted_linear
-    second = 0 if curved is None else curved.inverted
+    c = curved or CurvedSummary(0, 0, int(q.inverted.sum()) - quads, 1.0, 0, 0, quads)
     parts = (
-        (triangles, "inverted triangle"), (second, "inverted six-node triangle"), (quads, "inverted quad"),
+        (c.inverted_linear, "inverted triangle"), (c.inverted, "inverted six-node triangle"),
+        (c.inverted_linear_quads, "inverted quad"), (c.inverted_quads, "inverted curved quad"),
     )  # fmt: skip
     return " and ".join(counted(count, noun) for count, noun in parts if count)
 
@@ -221,7 +223,7 @@ def verdict(where: str, q: "Quality", message: str = "", curved: "CurvedSummary 
 
     where    words that follow the count, as in "better.vtu"
     message  why the improvement ended, if that is known
-    curved   counts of six-node triangles, which are judged by their Jacobians
+    curved   counts of curved elements, which are judged by their Jacobians
     """
     inverted = inverted_text(q, curved)
     if inverted:
@@ -233,18 +235,19 @@ def verdict(where: str, q: "Quality", message: str = "", curved: "CurvedSummary 
 def record(mesh: "MeshBatch", q: "Quality", curved: "CurvedSummary | None" = None) -> dict[str, Any]:
     """Counts and quality of the meshes of a file, all together, as plain values.
 
-    curved  counts of six-node triangles, which are inverted where their Jacobians are; None: there are none
+    curved  counts of curved elements, which are inverted where their Jacobians are; None: there are none
 
     `inverted` counts triangles, and `inverted_quads` quads, where there are any.
     """
     from ..mesh.measure import minimum_angle
 
-    quads = int((~q.quad_upright).sum())
+    straight = int((~q.quad_upright).sum())
+    quads = straight if curved is None else curved.all_quads_inverted
     sizes = (mesh.triangle_offsets + mesh.quad_offsets).diff().double()
     return {
         "triangles": len(mesh.triangles),
         "vertices": len(mesh.points),
-        "inverted": int(q.inverted.sum()) - quads if curved is None else curved.all_inverted,
+        "inverted": int(q.inverted.sum()) - straight if curved is None else curved.all_triangles_inverted,
         **({} if curved is None else curved.to_dict()),
         **({"quads": len(mesh.quads), "inverted_quads": quads} if len(mesh.quads) else {}),
         "imr_average": float(q.mean[0] if len(mesh) == 1 else q.mean.double() @ (sizes / sizes.sum())),

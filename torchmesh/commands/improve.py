@@ -211,8 +211,9 @@ def _outcome(improved: "ImprovedFile") -> dict[str, Any]:
             "meshes": [one | own for one, own in zip(steps, records, strict=True)],
         }
     curved = improved.curved
-    if curved is not None and curved.inverted:
-        told = console.counted(curved.inverted, "inverted six-node triangle")
+    if curved is not None and curved.inverted + curved.inverted_quads:
+        both = (curved.inverted, "inverted six-node triangle"), (curved.inverted_quads, "inverted curved quad")
+        told = " and ".join(console.counted(count, noun) for count, noun in both if count)
         record |= {"valid": False, "certified": False, "message": f"{record['message']}; {told}"}
     return record
 

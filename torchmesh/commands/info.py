@@ -74,6 +74,7 @@ def _unfit(path: Path, problem: str) -> dict[str, Any]:
 
 def _record(given: "Series") -> dict[str, Any]:
     """What is known of a file; of a time series, of its first step."""
+    from ..batches.file_improvement import curved_counts
     from ..files.parts import parts_of
     from ..improving.layers import layers_in_words
     from ..mesh.batch import lift
@@ -82,7 +83,7 @@ def _record(given: "Series") -> dict[str, Any]:
     source = given.first_sources()[0]
     mesh, content = source.mesh, source.content
     parts = list(parts_of(source).values())
-    figures = console.record(given.batch, quality(given.batch))
+    figures = console.record(given.batch, quality(given.batch), curved_counts(given))
     space = lift(mesh)
     steps = {"steps": len(given), "times": given.times, "meshes": len(given.batch)} if len(given) > 1 else {}
     return {

@@ -119,19 +119,20 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
 
     mesh = source.mesh
     q = measure(mesh)
-    folded, upright = (~q.quad_upright).nonzero().squeeze(1).tolist(), q.upright
+    upright, quads_upright = q.upright, q.quad_upright
     if source.middles is not None:
-        upright = torch.from_numpy(given(source).upright)
+        placed = given(source)
+        upright, quads_upright = torch.from_numpy(placed.upright), torch.from_numpy(placed.quads_upright)
     record = {
         "file": console.told(str(source.path)),
         **({"steps": steps} if steps else {}),
         **console.record(mesh, q, source.curved),
-        "worst": _worst(source, q, upright, worst),
+        "worst": _worst(source, q, torch.cat([upright, quads_upright]), worst),
     }
     if source.curved is not None:
-        record["rows_of_inverted_curved"] = given(source).inverted.nonzero()[0].tolist()
+        record["rows_of_inverted_curved"] = placed.inverted.nonzero()[0].tolist()
     if len(mesh.quads):
-        record["rows_of_inverted_quads"] = folded
+        record["rows_of_inverted_quads"] = (~quads_upright).nonzero().squeeze(1).tolist()
     if sizes is not None:
         record["edge_length_over_size"] = _size_record(mesh, _sizes_wanted(sizes, source))
     if names:
@@ -149,7 +150,7 @@ def _record(source: "Source", steps: str, worst: int, names: list[str], sizes: s
 def _worst(source: "Source", q: "Quality", upright: "Tensor", count: int) -> list[dict[str, Any]]:
     """The `count` worst triangles and quads: inverted ones, largest first, then those of the highest IMR.
 
-    upright  (T,) bool, which triangles are not inverted
+    upright  (T + Q,) bool, which triangles and quads are not inverted
     """
     import torch
 
@@ -158,7 +159,6 @@ def _worst(source: "Source", q: "Quality", upright: "Tensor", count: int) -> lis
 
     mesh = source.mesh
     area, ratio = torch.cat([q.area, q.quad_area]), torch.cat([q.inverse_mean_ratio, q.quad_inverse_mean_ratio])
-    upright = torch.cat([upright, q.quad_upright])
     # Inverted elements rank by their area, and far above all others, which rank by their shape.
     rank = torch.where(upright, -1 / ratio, 1 - area / area.abs().amax(0).clamp_min(1e-300))
     space, triangles = lift(mesh), len(mesh.triangles)

@@ -1,4 +1,4 @@
-"""The mid-side nodes of six-node triangles, by edge; and what becomes of them when edges flip, come and go.
+"""The mid-side nodes of curved triangles and quads, by edge; and what becomes of them when edges flip, come and go.
 
 before          after            An edge that stays keeps its node.  The node of an edge that went goes to an edge
 u ---m--- w     u       w        that came: where one edge took the place of another, to that one, so that its number
@@ -6,11 +6,13 @@ u ---m--- w     u       w        that came: where one edge took the place of ano
   t   s           t-m-s
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..errors import InvalidMeshError
+from .elements import Elements
+from .quads import QUAD_SIDES
 from .validity import SIDES
 
 
@@ -21,21 +23,33 @@ class Middles:
     edges   (E, 2) int64 rows of points, the lower one first, in ascending order
     nodes   (E,) int64 the row of the node of each edge
     curved  (T,) bool: the triangle has mid-side nodes; others are linear
+    quads   (Q,) bool: the quad has mid-side nodes
+    centres (Q,) int64 the row of the node in the middle of each quad, -1 where there is none
     """
 
     edges: np.ndarray
     nodes: np.ndarray
     curved: np.ndarray
+    quads: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    centres: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
-    def of(cls, triangles: np.ndarray, middles: np.ndarray) -> "Middles":
+    def of(
+        cls, triangles: np.ndarray, middles: np.ndarray, quads: np.ndarray | None = None,
+        of_quads: np.ndarray | None = None,
+    ) -> "Middles":  # fmt: skip
         """From triangles (T, 3) and the nodes (T, 3) of their sides, -1 for a triangle without.
+
+        quads, of_quads  (Q, 4), and the nodes (Q, 5) of their sides and middles, likewise
 
         Raises InvalidMeshError for an edge with two nodes, a node of two edges, and a node that is a corner.
         """
         curved = np.asarray((middles >= 0).all(1))
-        sides = np.sort(_sides(triangles[curved]), 1)
-        own = middles[curved].reshape(-1)
+        quads = np.zeros((0, 4), np.int64) if quads is None else quads
+        of_quads = np.full((len(quads), 5), -1) if of_quads is None else of_quads
+        second = np.asarray((of_quads[:, :4] >= 0).all(1))
+        sides = np.sort(np.concatenate([_sides(triangles[curved]), _quad_sides(quads[second])]), 1)
+        own = np.concatenate([middles[curved].reshape(-1), of_quads[second, :4].reshape(-1)])
         edges, first, edge = np.unique(sides, axis=0, return_index=True, return_inverse=True)
         nodes = own[first]
         differ = own != nodes[edge.reshape(-1)]
@@ -43,18 +57,23 @@ class Middles:
             k = int(differ.argmax())
             raise InvalidMeshError(
                 f"the edge {sides[k].tolist()} has two mid-side nodes, {nodes[edge.reshape(-1)[k]]} and {own[k]}: "
-                "triangles that share an edge must share its node"
+                "elements that share an edge must share its node"
             )
-        values, counts = np.unique(nodes, return_counts=True)
+        centres = of_quads[:, 4]
+        every = np.concatenate([nodes, centres[centres >= 0]])
+        values, counts = np.unique(every, return_counts=True)
         if (counts > 1).any():
             node = values[counts > 1][0]
-            raise InvalidMeshError(f"node {node} is the mid-side node of {counts.max()} edges, and must be that of one")
-        corners = np.isin(nodes, triangles)
+            where = "edges" if not (centres == node).any() else "edges and quads"
+            raise InvalidMeshError(
+                f"node {node} is the mid-side node of {counts.max()} {where}, and must be that of one"
+            )
+        corners = np.isin(every, triangles) | np.isin(every, quads)
         if corners.any():
             raise InvalidMeshError(
-                f"node {nodes[corners][0]} is a mid-side node of one triangle and a corner of another"
+                f"node {every[corners][0]} is a mid-side node of one element and a corner of another"
             )
-        return cls(edges, nodes, curved)
+        return cls(edges, nodes, curved, second, centres)
 
     def at(self, edges: np.ndarray) -> np.ndarray:
         """(N,) the row of each of the edges (N, 2), in either direction, among `edges`; -1 where there is none."""
@@ -71,6 +90,19 @@ class Middles:
         """(N, 6) the nodes of those of the triangles (T, 3) that are curved, wound and begun as these are."""
         faces = triangles[self.curved]
         return np.concatenate([faces, self.of_sides(faces)], 1)
+
+    def nine(self, quads: np.ndarray) -> np.ndarray:
+        """(N, 9) the nodes of those of the quads (Q, 4) that are curved; -1 for a middle without a node."""
+        if not self.quads.any():
+            return np.zeros((0, 9), np.int64)
+        own = quads[self.quads]
+        at = self.at(_quad_sides(own))
+        return np.concatenate([own, self.nodes[at].reshape(-1, 4), self.centres[self.quads, None]], 1)
+
+    def elements(self, triangles: np.ndarray, quads: np.ndarray) -> Elements:
+        """The curved ones of the triangles (T, 3) and quads (Q, 4)."""
+        nine = self.nine(quads)
+        return Elements(self.six(triangles), nine, np.full((len(nine), 9, 2), np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +126,18 @@ def follow(
     triangles: np.ndarray,
     curved: np.ndarray,
     new_vertex: np.ndarray,
+    quads: np.ndarray | None = None,
 ) -> Followed:
     """The mid-side nodes `before` of triangles `faces` (T, 3), for the `triangles` (T', 3) that take their place.
 
     points      (V', 2) after; only nearness is told by them
     curved      (T',) bool: which triangles have mid-side nodes
     new_vertex  (V,) the row of each vertex and node after, -1 if it is gone
+    quads       (Q, 4) after; they are those of before, row by row.  None: there are none
     """
-    edges = np.unique(np.sort(_sides(triangles[curved]), 1), axis=0)
+    quads = np.zeros((0, 4), np.int64) if quads is None else quads
+    sides = np.concatenate([_sides(triangles[curved]), _quad_sides(quads[before.quads])])
+    edges = np.unique(np.sort(sides, 1), axis=0)
     ends, node = new_vertex[before.edges], new_vertex[before.nodes]
     alive = (ends >= 0).all(1) & (node >= 0)
     at = np.full(len(before.edges), -1)
@@ -121,7 +157,8 @@ def follow(
         free[k] = -1
     made = np.flatnonzero(nodes < 0)
     nodes[made] = len(points) + np.arange(len(made))
-    return Followed(Middles(edges, nodes, curved), origin, node[free[free >= 0]])
+    centres = np.where(before.centres >= 0, new_vertex[before.centres], -1)
+    return Followed(Middles(edges, nodes, curved, before.quads, centres), origin, node[free[free >= 0]])
 
 
 def _across(
@@ -183,3 +220,8 @@ def rows_of_edges(edges: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def _sides(faces: np.ndarray) -> np.ndarray:
     """(3N, 2) the sides of the triangles (N, 3), in the order of their nodes."""
     return faces[:, SIDES].reshape(-1, 2)
+
+
+def _quad_sides(quads: np.ndarray) -> np.ndarray:
+    """(4N, 2) the sides of the quads (N, 4), in the order of their nodes."""
+    return quads[:, QUAD_SIDES].reshape(-1, 2)

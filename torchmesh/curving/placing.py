@@ -3,21 +3,20 @@
 edge                                              its node
 neither end moved                                 stays, to the bit
 of the boundary or an interface, moved            turns and grows with the edge; a straight one stays straight
-inside, both of its triangles were upright        the same
+inside, both of its elements were upright         the same
 inside, otherwise; or new                         the middle
 
-Where a triangle is not upright then, nodes inside are moved (`unfolding`), until all signs are right, exactly.
+The node in the middle of a quad goes where the sides of the quad ask for it, unless none of its nodes has moved.
+Where an element is not upright then, nodes inside are moved (`unfolding`), until all signs are right, exactly.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
-from ..mesh.predicates import orientation
+from .elements import Elements
 from .middles import Followed, Middles, rows_of_edges
 from .unfolding import Unfolding, needs_mending, unfold
-from .validity import SIDES, upright
 
 # An edge is straight if its node is off the middle by less than this part of its length, or by this many roundings of
 # the coordinates of the file.
@@ -30,12 +29,14 @@ class Before:
 
     points   (V, 2)
     faces    (T, 3)
+    quads    (Q, 4)
     middles  its mid-side nodes
     epsilon  the rounding of its coordinates, relative to their size
     """
 
     points: np.ndarray
     faces: np.ndarray
+    quads: np.ndarray
     middles: Middles
     epsilon: float = 2.0**-52
 
@@ -46,6 +47,7 @@ class After:
 
     points    (V', 2); those of nodes are replaced, unless they are not those of `Before` and lie on the boundary
     faces     (T', 3)
+    quads     (Q, 4), those of before, row by row
     followed  its mid-side nodes, and the edges before that they come from
     held      (K, 2) edges of the boundary and of interfaces
     fixed     (V',) bool, vertices and nodes that must not move to mend anything
@@ -53,6 +55,7 @@ class After:
 
     points: np.ndarray
     faces: np.ndarray
+    quads: np.ndarray
     followed: Followed
     held: np.ndarray
     fixed: np.ndarray
@@ -81,7 +84,16 @@ def placed(before: Before, after: After, new_vertex: np.ndarray, unfolding: Unfo
     asked = held[kept] & given
     position[kept[asked]] = points[middles.nodes[kept[asked]]]
     points[middles.nodes] = position
-    return points if unfolding is None else _mended(before, points, after, new_vertex, held, unfolding)
+    elements = _elements(before, after, new_vertex)
+    points = elements.settled(points)
+    return points if unfolding is None else _mended(before, points, after, elements, new_vertex, held, unfolding)
+
+
+def _elements(before: Before, after: After, new_vertex: np.ndarray) -> Elements:
+    """The curved elements after, with where the nodes of quads were before."""
+    made = after.followed.middles.elements(after.faces, after.quads)
+    given = before.middles.nine(before.quads)
+    return replace(made, were=np.where((given < 0)[..., None], np.nan, before.points[given]))
 
 
 def is_straight(points: np.ndarray, middles: Middles, epsilon: float = 2.0**-52) -> np.ndarray:
@@ -93,11 +105,11 @@ def is_straight(points: np.ndarray, middles: Middles, epsilon: float = 2.0**-52)
 
 
 def _between_upright(before: Before) -> np.ndarray:
-    """(E,) bool: all triangles at the edge are upright before."""
-    six = before.middles.six(before.faces)
-    bad = ~upright(torch.from_numpy(before.points), torch.from_numpy(six)).numpy()
+    """(E,) bool: all elements at the edge are upright before."""
+    elements = before.middles.elements(before.faces, before.quads)
     whole = np.ones(len(before.middles.edges), bool)
-    whole[before.middles.at(six[bad][:, :3][:, SIDES].reshape(-1, 2))] = False
+    bad = ~elements.upright(before.points)
+    whole[before.middles.at(elements.sides[bad].reshape(-1, 2))] = False
     return whole
 
 
@@ -136,24 +148,20 @@ def _still(
 
 
 def _mended(
-    before: Before, points: np.ndarray, after: After, new_vertex: np.ndarray, held: np.ndarray, unfolding: Unfolding
-) -> np.ndarray:
-    """The points, with nodes inside moved where a triangle is not upright, or has become poor."""
+    before: Before, points: np.ndarray, after: After, elements: Elements, new_vertex: np.ndarray, held: np.ndarray,
+    unfolding: Unfolding,
+) -> np.ndarray:  # fmt: skip
+    """The points, with nodes inside moved where an element is not upright, or has become poor."""
     middles = after.followed.middles
-    six = middles.six(after.faces)
-
-    def inverted(at: np.ndarray) -> np.ndarray:
-        return ~upright(torch.from_numpy(at), torch.from_numpy(six)).numpy()
-
     # What came with a poor Jacobian, and has not changed, stays as it is.
-    came = _unchanged(before, points, new_vertex, six)
-    # Where straight triangles are inverted still, no side can mend them.
-    lost = _straight_inverted(points, six)
-    bad = inverted(points) & ~lost
-    if not (bad | (needs_mending(points, six, unfolding.aim) & ~came & ~lost)).any():
+    came = _unchanged(before, points, new_vertex, elements)
+    # Where straight elements are inverted still, no side can mend them.
+    lost = elements.straight_inverted(points)
+    bad = ~elements.upright(points) & ~lost
+    if not (bad | (needs_mending(points, elements, unfolding.aim) & ~came & ~lost)).any():
         return points
     fixed = np.concatenate([after.fixed, np.zeros(len(points) - len(after.fixed), bool)])
-    side = middles.at(six[:, :3][:, SIDES].reshape(-1, 2)).reshape(-1, 3)
+    side = middles.at(elements.sides.reshape(-1, 2)).reshape(-1, 4)
     free = ~held & ~_marked(after, middles)
     # First the nodes inside go to the middles of their edges, wherever that helps.
     for _ in range(unfolding.straightenings):
@@ -161,33 +169,40 @@ def _mended(
         rows = rows[free[rows]]
         trial = points.copy()
         trial[middles.nodes[rows]] = trial[middles.edges[rows]].mean(1)
-        now = inverted(trial) & ~lost
+        trial = elements.settled(trial)
+        now = ~elements.upright(trial) & ~lost
         if now.sum() >= bad.sum():
             break
         points, bad = trial, now
     may = ~came & ~lost
-    bad |= needs_mending(points, six, unfolding.aim) & may
+    bad |= needs_mending(points, elements, unfolding.aim) & may
     may |= bad
-    return unfold(points, six, side, middles, free, fixed | _on(after.held, len(points)), bad, may, unfolding)
+    stay = fixed | _on(after.held, len(points))
+    stay[_straight_corners(after, middles)] = True
+    return unfold(points, elements, side, middles, free, stay, bad, may, unfolding)
 
 
-def _straight_inverted(points: np.ndarray, six: np.ndarray) -> np.ndarray:
-    """(N,) bool: the triangle of the corners is not upright."""
-    a, b, c = (torch.from_numpy(points[six[:, k]]).unbind(1) for k in range(3))
-    return (orientation(*a, *b, *c) <= 0).numpy()
+def _straight_corners(after: After, middles: Middles) -> np.ndarray:
+    """The corners of elements without mid-side nodes, of which no curved element may move one."""
+    flat = [after.faces[~middles.curved].reshape(-1)]
+    flat.append(after.quads[~middles.quads].reshape(-1) if len(middles.quads) else after.quads.reshape(-1))
+    return np.concatenate(flat)
 
 
-def _unchanged(before: Before, points: np.ndarray, new_vertex: np.ndarray, six: np.ndarray) -> np.ndarray:
-    """(N,) bool: no node of the triangle has moved, and it was a triangle before."""
+def _unchanged(before: Before, points: np.ndarray, new_vertex: np.ndarray, elements: Elements) -> np.ndarray:
+    """(N,) bool: no node of the element has moved, and it was an element before."""
     old = np.full(len(points), -1)
     old[new_vertex[new_vertex >= 0]] = np.flatnonzero(new_vertex >= 0)
-    rows = old[six]
+    rows = old[elements.six]
     same = (rows >= 0).all(1)
-    same[same] = (before.points[rows[same]] == points[six[same]]).all((1, 2))
+    same[same] = (before.points[rows[same]] == points[elements.six[same]]).all((1, 2))
     given = np.sort(before.middles.six(before.faces), 1)
     whole = np.concatenate([given, np.sort(rows, 1)])
     _, number = np.unique(whole, axis=0, return_inverse=True)
-    return same & np.isin(number.reshape(-1)[len(given) :], number.reshape(-1)[: len(given)])
+    of_triangles = same & np.isin(number.reshape(-1)[len(given) :], number.reshape(-1)[: len(given)])
+    there = (elements.nine >= 0)[..., None]
+    of_quads = ((points[elements.nine] == elements.were) | ~there).all((1, 2))
+    return np.concatenate([of_triangles, of_quads])
 
 
 def _marked(after: After, middles: Middles) -> np.ndarray:

@@ -92,7 +92,7 @@ def _as_in_the_file(blocks: list[_Block], old: Correspondence, placed: Placed | 
         if len(block.origin):
             own = int(starts.searchsorted(block.origin[0], "right")) - 1
             kind = kinds.names[own]
-            if kinds.middles[own].shape[1] == 1:
+            if kinds.middles[own].shape[1] in (1, 4, 5):  # no side of a quad flips
                 nodes = old.new_vertex[kinds.middles[own][block.origin - starts[own]]]
             elif kinds.middles[own].shape[1] == 3:
                 assert placed is not None

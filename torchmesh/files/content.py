@@ -17,8 +17,8 @@ _POLYGONS = {3: "triangle", 4: "quad"}
 
 _LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "pixel")
 
-# line3, quad8, ...: they stay as they are, and their vertices are fixed.
-_HIGHER_ORDER = ("line", "quad")
+# line4, ...: they stay as they are, and their vertices are fixed.
+_HIGHER_ORDER = ("line",)
 
 
 @dataclass
@@ -26,13 +26,14 @@ class Content:
     """A file's mesh taken apart.
 
     mesh         meshio's mesh: arrays in native byte order, polygons of three corners among the triangles; triangles
-                 of six nodes, and lines of three, are there by their corners
+                 of six nodes, quads of eight and nine, and lines of three, are there by their corners
     kinds        what these cells are in the file
     middles      (R, 3) the mid-side nodes of the triangle rows, -1 for straight ones
     rows         (R, 3) triangle rows of all blocks, in file order
     first        (T,) the first row of each triangle; some files list a triangle once for each of its groups
     triangle     (R,) the triangle of each row
     quad_rows, quad_first, quad  likewise for quads: (S, 4), (Q,) and (S,)
+    quad_middles (S, 5) the mid-side nodes of the quad rows, and their middles; -1 where there are none
     region       (T,) the number of the region that each triangle is in
     constrained  (K, 2) edges that no flip may remove
     pinned       (V,) bool, vertices of cells that must not change shape
@@ -56,6 +57,7 @@ class Content:
     quad_rows: np.ndarray
     quad_first: np.ndarray
     quad: np.ndarray
+    quad_middles: np.ndarray
 
     @classmethod
     def of(cls, document: Document, path: Path, regions: str | None = None) -> "Content":
@@ -77,7 +79,7 @@ class Content:
             first, triangle = merged_rows(rows)
         faces, middles = rows[first], kinds.of_triangles(mesh)
         region = triangle_regions(mesh, triangle, len(first), told_by)
-        if kinds.curved and (middles < 0).any():
+        if kinds.curved and (middles < 0).any() and (middles >= 0).any():
             # No edge flips between straight and curved triangles: each keeps its kind.
             region = np.unique(2 * region + (middles[first, 0] >= 0), return_inverse=True)[1].reshape(-1)
         none = np.zeros((0, 2), np.int64)
@@ -91,10 +93,12 @@ class Content:
         kept = np.concatenate([_interfaces(faces, region), between, lines[on_edge], _shared(sides, edges)])
         constrained = np.unique(np.sort(kept, 1), axis=0)
         pinned, elsewhere = _pinned(mesh, np.concatenate([faces.reshape(-1), quads.reshape(-1)]), lines[~on_edge])
-        elsewhere[middles[middles >= 0]] = True
+        of_quads = kinds.of_quads(mesh)
+        for nodes in (middles, of_quads):
+            elsewhere[nodes[nodes >= 0]] = True
         return cls(
             mesh, kinds, middles, rows, first, triangle, region, constrained, pinned, elsewhere, document.sides,
-            told_by, quad_rows, quad_first, quad,
+            told_by, quad_rows, quad_first, quad, of_quads,
         )  # fmt: skip
 
     @property
@@ -189,14 +193,14 @@ def _check_types(mesh: meshio.Mesh, path: Path) -> None:
             raise InvalidMeshError(
                 f"{path}: it has {name} cells; of curved triangles those of six nodes can be improved: convert it first"
             )
-        if name.startswith("quad") and name != "quad" and not types & {"triangle", "triangle6", "quad"}:
+        if name.startswith("quad") and name != "quad":
             raise InvalidMeshError(
-                f"{path}: it has {name} cells; of quads those of four nodes can be improved: save it with elements of "
-                "first order (Gmsh: -order 1, MFEM: SetCurvature(1), VTK: as VTK_QUAD)"
+                f"{path}: it has {name} cells; of quads those of four, eight and nine nodes can be improved: save it "
+                "with elements of first or second order (Gmsh: -order 2, MFEM: SetCurvature(2))"
             )
         if name not in _LINEAR and name.rstrip("0123456789") not in _HIGHER_ORDER:
             raise InvalidMeshError(
-                f"{path}: it has {name} cells; only planar meshes of triangles and linear quads can be improved"
+                f"{path}: it has {name} cells; only planar meshes of triangles and quads can be improved"
             )
     if "triangle" not in types and "quad" not in types:
         found = f"it has {' and '.join(sorted(types))} cells only" if types else "it has no cells"

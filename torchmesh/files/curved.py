@@ -1,6 +1,6 @@
-"""The mid-side nodes of a file's six-node triangles, for the mesh that takes the place of the file's.
+"""The mid-side nodes of a file's triangles and quads, for the mesh that takes the place of the file's.
 
-The nodes stay rows of points of the mesh, in no triangle, so that every row of the file keeps its number.
+The nodes stay rows of points of the mesh, in no element, so that every row of the file keeps its number.
 """
 
 from dataclasses import replace
@@ -13,6 +13,7 @@ from ..curving.placing import After, Before, is_straight, placed
 from ..curving.unfolding import Unfolding
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.quads import halved
 from ..mesh.vertex_map import VertexMap
 from .correspondence import Correspondence
 from .placed import Placed
@@ -34,9 +35,8 @@ def ends_of_curved(source: Source) -> torch.Tensor:
 
 def _held_edges(mesh: MeshBatch) -> np.ndarray:
     """(K, 2) the edges of the boundary, and constrained ones."""
-    return np.concatenate(
-        [connectivity.boundary_edges(mesh.triangles, mesh.twin).numpy(), mesh.constrained_edges.numpy()]
-    )
+    constrained, mesh = mesh.constrained_edges.numpy(), halved(mesh)
+    return np.concatenate([connectivity.boundary_edges(mesh.triangles, mesh.twin).numpy(), constrained])
 
 
 def _epsilon(source: Source) -> float:
@@ -46,7 +46,7 @@ def _epsilon(source: Source) -> float:
 
 
 def given(source: Source, mesh: MeshBatch | None = None) -> Placed:
-    """The curved triangles of a file, with positions of its own or of `mesh`, which has its rows."""
+    """The curved elements of a file, with positions of its own or of `mesh`, which has its rows."""
     assert source.middles is not None
     return Placed(source.mesh if mesh is None else mesh, source.middles)
 
@@ -73,10 +73,13 @@ def replaced(
     faces, points = mesh.triangles.numpy(), mesh.points.to(torch.float64).numpy()
     was, old_faces = before.points.to(torch.float64).numpy(), source.mesh.triangles.numpy()
     curved = _curved_after(source, mesh, vertex_map)
-    followed = follow(middles, old_faces, points, faces, curved, new_vertex)
+    quads, old_quads = mesh.quads.numpy(), source.mesh.quads.numpy()
+    followed = follow(middles, old_faces, points, faces, curved, new_vertex, quads)
     held, epsilon = _held_edges(mesh), _epsilon(source)
-    after = After(points, faces, followed, held, _fixed_by_user(source, new_vertex, len(points)))
-    made = placed(Before(was, old_faces, middles, epsilon), after, new_vertex, Unfolding() if mends else None)
+    after = After(points, faces, quads, followed, held, _fixed_by_user(source, new_vertex, len(points)))
+    made = placed(
+        Before(was, old_faces, old_quads, middles, epsilon), after, new_vertex, Unfolding() if mends else None
+    )
     return _with_rows(mesh, made, followed.middles, followed.spare, vertex_map)
 
 
@@ -125,7 +128,8 @@ def _with_rows(
         constrained_edges=renumbered[mesh.constrained_edges], point_offsets=offsets, _twin=None,
     )  # fmt: skip
     order = row[middles.edges]
-    moved = Middles(order, row[middles.nodes], middles.curved)
+    centres = np.where(middles.centres >= 0, row[middles.centres], -1)
+    moved = Middles(order, row[middles.nodes], middles.curved, middles.quads, centres)
     return Placed(result, moved, _extended(vertex_map, len(mesh.points), ends, row, keep))
 
 

@@ -35,7 +35,8 @@ from .split_quads import split_rows, with_split_quads
 from .surface import HeightChoice, check_height
 
 # The corners and nodes of cells that are turned round.
-_TURNED = {"triangle": [0, 2, 1], "quad": [0, 3, 2, 1], "triangle6": [0, 2, 1, 5, 4, 3]}
+_TURNED = {"triangle": [0, 2, 1], "quad": [0, 3, 2, 1], "triangle6": [0, 2, 1, 5, 4, 3],
+           "quad8": [0, 3, 2, 1, 7, 6, 5, 4], "quad9": [0, 3, 2, 1, 7, 6, 5, 4, 8]}  # fmt: skip
 
 
 def read(path: str | os.PathLike[str], *, regions: str | None = None) -> MeshBatch:

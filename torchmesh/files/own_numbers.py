@@ -13,9 +13,13 @@ from typing import Any
 import numpy as np
 
 from .content import merged_rows
+from .curved_cells import straightened
 from .formats.deck import TRIANGLES, triangles_of
 from .formats.format import Document
 from .quads import quads_of
+
+# Types of cells that are quads.
+_QUADS = ("quad", "quad8", "quad9")
 
 # So many numbers are told in one message.
 _TOLD = 12
@@ -37,10 +41,10 @@ def triangle_numbers(document: Document) -> Sequence[Any] | np.ndarray | None:
 
 def quad_numbers(document: Document) -> Sequence[Any] | np.ndarray | None:
     """(Q,) what the file calls each quad of the mesh that is read from it; None without numbers of its own."""
-    numbers = _in_file_order(document, ("quad",))
+    numbers = _in_file_order(document, _QUADS)
     if numbers is None or not document.repeats_triangles:
         return numbers
-    _, first, _ = quads_of(document.mesh, True)
+    _, first, _ = quads_of(straightened(document.mesh)[0], True)
     return [numbers[row] for row in first.tolist()]
 
 

@@ -81,7 +81,7 @@ class Source:
 
     @cached_property
     def middles(self) -> Middles | None:
-        """The mid-side nodes of the file's six-node triangles, which are rows of `mesh.points`; None without any.
+        """The mid-side nodes of the file's triangles and quads, which are rows of `mesh.points`; None without any.
 
         Raises InvalidMeshError for nodes that belong to no or to several edges.
         """
@@ -89,13 +89,16 @@ class Source:
         if not content.kinds.curved:
             return None
         try:
-            return Middles.of(content.rows[content.first], content.middles[content.first])
+            return Middles.of(
+                content.rows[content.first], content.middles[content.first],
+                content.quads, content.quad_middles[content.quad_first],
+            )  # fmt: skip
         except InvalidMeshError as error:
             raise InvalidMeshError(f"{self.path}: {error}") from None
 
     @cached_property
     def curved(self) -> CurvedSummary | None:
-        """Counts of the file's six-node triangles; None without any."""
+        """Counts of the file's curved triangles and quads; None without any."""
         return None if self.middles is None else Placed(self.mesh, self.middles).summary()
 
 

@@ -36,6 +36,11 @@ def with_split_quads(like: Source, gone: torch.Tensor) -> Source:
     The triangles follow the others, in the order of the quads, as `mesh.quads.split_quads` has them; both have the
     cell data and are in the cell sets of their quad.
     """
+    if (like.content.quad_middles[like.content.quad_first][gone.numpy()] >= 0).any():
+        raise InvalidMeshError(
+            f"{like.path}: {int(gone.sum())} quads would have to become two triangles each, and those with mid-side "
+            "nodes cannot; without quads 'split' they stay, and with elements of first order they can be split"
+        )
     other = better_diagonals(like.mesh, gone)
     after = split_quads(like.mesh, gone, other)
     diagonal = torch.zeros_like(gone).index_put((gone.nonzero().squeeze(1),), other)
@@ -91,6 +96,7 @@ def _content(content: Content, gone: np.ndarray, diagonal: np.ndarray, after: Me
         region=triangle_regions(mesh, triangle, len(first), content.told_by),
         constrained=after.constrained_edges.numpy(),
         quad_rows=content.quad_rows[left],
+        quad_middles=content.quad_middles[left],
         quad_first=_first_of(content.quad[left]),
         quad=(content.quad - 1 - number[content.quad])[left],
     )

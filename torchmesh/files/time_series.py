@@ -27,7 +27,7 @@ from .field_transfer import FieldChoice, FieldSummary, FieldTransfer, check_choi
 from .formats.format import Document
 from .formats.registry import format_of
 from .formats.xdmf import XDMF, check_data_files, is_series, write_mixed
-from .formats.xdmf_text import alone
+from .formats.xdmf_mixed import read_grid
 from .mesh_files import draft
 from .messages import translated, warn
 from .placed import CurvedSummary, Placed
@@ -296,7 +296,7 @@ def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
                 raise ValueError(f"step {number} is a collection of grids; give each part its own file")
             time = grid.find("Time")
             value = float(time.get("Value", number)) if time is not None else float(number)
-            mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(alone(domain, grid))
+            mesh = read_grid(path, domain, grid)
             if mesh.points is None or not mesh.cells:
                 raise ValueError(f"step {number} has no Geometry or no Topology")
             steps.append((value, mesh))

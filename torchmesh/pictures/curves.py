@@ -1,4 +1,4 @@
-"""Curved sides of six-node triangles in pictures: the parabola through the ends and the node of an edge.
+"""Curved sides of triangles and quads in pictures: the parabola through the ends and the node of an edge.
 
     c          A side from u to v whose node is m is the curve of Bezier with the control point c = 2 m - (u + v) / 2.
   .   .
@@ -29,12 +29,14 @@ class Curves:
     controls  (E, 2) float64, their control points
     nodes     (E, 2) float64, their nodes, which lie on them
     upright   (T,) bool: no six-node triangle, or one whose Jacobian is positive everywhere
+    quads     (Q,) bool: the quad is not inverted, by its Jacobian if it is curved
     """
 
     edges: np.ndarray
     controls: np.ndarray
     nodes: np.ndarray
     upright: np.ndarray
+    quads: np.ndarray
 
     @classmethod
     def of(cls, placed: Placed | None) -> "Curves | None":
@@ -46,16 +48,20 @@ class Curves:
         a, b = points[edges].transpose(1, 0, 2)
         away = points[placed.middles.nodes] - (a + b) / 2
         bent = np.abs(away).max(1, initial=0) > _STRAIGHT * np.abs(b - a).max(1, initial=0)
-        if not bent.any() and not placed.inverted.any():
+        if not bent.any() and not placed.inverted.any() and not placed.inverted_quads.any():
             return None
         middle = (a + b)[bent] / 2
-        return cls(edges[bent], middle + 2 * away[bent], middle + away[bent], ~placed.inverted)
+        return cls(edges[bent], middle + 2 * away[bent], middle + away[bent], ~placed.inverted, placed.quads_upright)
 
     def judged(self, quality: Quality) -> Quality:
-        """The quality of the mesh, in which triangles that are inverted as curved ones count as inverted."""
+        """The quality of the mesh, in which curved triangles and quads are judged by their Jacobians.
+
+        A triangle whose straight one is inverted stays so.
+        """
         upright = quality.upright & torch.from_numpy(self.upright).to(quality.upright.device)
-        more = (quality.upright & ~upright).sum()
-        return replace(quality, upright=upright, inverted=quality.inverted + more)
+        quads = torch.from_numpy(self.quads).to(quality.upright.device)
+        more = (quality.upright & ~upright).sum() + (~quads).sum() - (~quality.quad_upright).sum()
+        return replace(quality, upright=upright, quad_upright=quads, inverted=quality.inverted + more)
 
     def rows(self, edges: np.ndarray) -> np.ndarray:
         """(N,) the row of each of the edges (N, 2), in either direction; -1 for a straight one."""

@@ -147,6 +147,7 @@ def _drawn(mesh: MeshBatch, quality: Quality) -> tuple[MeshBatch, Quality]:
     measured = measure(halves)
     upright = measured.upright.clone()
     upright[:whole] &= quality.upright
+    upright[whole:] = quality.quad_upright.repeat_interleave(2)
     return halves, replace(measured, upright=upright)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from ..fields import means_regions
 from .vtk_xml import as_text, escaped
-from .xdmf_text import XdmfText, alone
+from .xdmf_mixed import read_grid
+from .xdmf_text import XdmfText
 
 _FLAT = ("triangle", "quad", "triangle6", "quad8", "quad9")
 
@@ -220,7 +221,7 @@ def _on_mesh(mesh: meshio.Mesh, rows: np.ndarray, values: np.ndarray) -> dict[in
 
 
 def _read(path: Path, domain: ET.Element, grid: ET.Element) -> meshio.Mesh:
-    mesh = meshio.xdmf.main.XdmfReader(str(path)).read_xdmf3(alone(domain, grid))
+    mesh = read_grid(path, domain, grid)
     if mesh.points is None or not mesh.cells:
         raise ValueError(f"its grid {grid.get('Name', '')!r} has no Geometry or no Topology")
     return mesh

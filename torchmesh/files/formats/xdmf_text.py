@@ -13,10 +13,11 @@ from .edits import edited
 
 _INCLUDE = re.compile(r"include$")
 
-# The two ways in which programs name the grid whose mesh another grid has: meshio and ParaView by its name, others by
-# its number among the uniform grids.  FEniCSx takes its Geometry alone.
+# The ways in which programs name the grid whose mesh another grid has: meshio and ParaView by its name, others by its
+# number among the uniform grids, or among all.  FEniCSx takes its Geometry alone, of the first grid.
 _NAMED = re.compile(r"""Grid\[@Name\s*=\s*["']([^"']*)["']\](?:/Grid\[(\d+)\])?""")
 _UNIFORM = re.compile(r"""Grid\[@GridType\s*=\s*["']Uniform["']\](?:\[(\d+)\])?""")
+_PLAIN = re.compile(r"/Domain/Grid(?:\[(\d+)\])?/")
 
 # The names of cell types in any spelling, as meshio spells them.
 _SPELLINGS = {
@@ -109,6 +110,8 @@ def included(domain: ET.Element, include: ET.Element) -> list[ET.Element]:
             grids = grids[0].findall("Grid")[int(found[2]) - 1 :]
     elif found := _UNIFORM.search(words):
         grids = domain.findall("Grid[@GridType='Uniform']")[int(found[1] or 1) - 1 :]
+    elif found := _PLAIN.search(words):
+        grids = domain.findall("Grid")[int(found[1] or 1) - 1 :]
     else:
         raise ValueError(f"the reference {words!r} is not understood")
     wanted = ("Geometry",) if re.search(r"/Geometry\b", words) and "Topology" not in words else ("Topology", "Geometry")
