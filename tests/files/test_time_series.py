@@ -138,6 +138,51 @@ def test_references_of_other_writers_are_followed(tmp_path, motion, pointer):
     assert torch.equal(found.batch.triangles, mesh.triangles)
 
 
+def two_functions(mesh: MeshBatch, times: tuple[float, float] = (0.0, 0.5)) -> str:
+    """A mesh, tags of facets, and two functions of it in a series each, as FEniCSx writes them."""
+    count = len(mesh.points)
+
+    def values(step: int) -> str:
+        numbers = " ".join(map(repr, (np.arange(count) + step / 8).tolist()))
+        return f'<DataItem Dimensions="{count}" Format="XML" Precision="8">{numbers}</DataItem>'
+
+    base = grid(mesh, 0)
+    facets = """<Grid Name="facets"><xi:include xpointer="xpointer(/Xdmf/Domain/Grid/Geometry)"/>
+<Topology TopologyType="PolyLine"><DataItem Dimensions="1 2" NumberType="Int" Format="XML">0 1</DataItem></Topology>
+<Attribute Name="facets" Center="Cell"><DataItem Dimensions="1" NumberType="Int" Format="XML">4</DataItem></Attribute>
+</Grid>"""
+    series = ""
+    where = "/Xdmf/Domain/Grid[@GridType='Uniform'][1]/*[self::Topology or self::Geometry]"
+    for name, all_times in (("u", (0.0, 0.5)), ("p", times)):
+        steps = "".join(
+            f'<Grid Name="{name}" GridType="Uniform"><xi:include xpointer="xpointer({where})"/><Time Value="{time}"/>'
+            f'<Attribute Name="{name}" Center="Node">{values(step)}</Attribute></Grid>'
+            for step, time in enumerate(all_times)
+        )
+        series += f'<Grid Name="{name}" GridType="Collection" CollectionType="Temporal">{steps}</Grid>'
+    return f'<Xdmf Version="3.0" xmlns:xi="https://www.w3.org/2001/XInclude"><Domain>{base}{facets}{series}</Domain></Xdmf>'
+
+
+def test_functions_with_a_series_each_are_one_series_and_tags_beside_it_are_told(tmp_path, motion):
+    path = tmp_path / "run.xdmf"
+    path.write_text(two_functions(motion[0]))
+    given = read_series(path)
+    assert given.times == [0.0, 0.5]
+    assert len(given.batch) == 1
+    assert [set(s.document.mesh.point_data) for s in given.sources] == [{"u", "p"}] * 2
+    assert given.sources[1].document.mesh.point_data["p"][0] == 1 / 8
+    with pytest.warns(MeshWarning, match="not carried over.*the grid 'facets'"):
+        write_series(tmp_path / "out.xdmf", given.batch, given)
+    assert [set(s.document.mesh.point_data) for s in read_series(tmp_path / "out.xdmf").sources] == [{"u", "p"}] * 2
+
+
+def test_functions_of_other_times_are_not_put_together(tmp_path, motion):
+    path = tmp_path / "run.xdmf"
+    path.write_text(two_functions(motion[0], (0.0, 0.75)))
+    with pytest.raises(MeshIOError, match="its time series 'p' has other times than the first one"):
+        read_series(path)
+
+
 def test_any_file_is_a_series_of_one_step(tmp_path):
     write(tmp_path / "a.vtu", meshes.jittered())
     found = read_series(tmp_path / "a.vtu")
@@ -173,7 +218,7 @@ def test_what_is_dropped_is_said_once_with_the_real_name(tmp_path, motion):
             MeshIOError,
             "leads to no grid with Topology and Geometry",
         ),
-        (document(more='<Grid CollectionType="Temporal"/>'), MeshIOError, "it has 2 time series"),
+        (document('<Grid/>', more='<Grid CollectionType="Temporal"/>'), MeshIOError, "step 0 has no Geometry"),
         (document()[:-20], MeshIOError, "cannot be read as xdmf"),
     ],
 )

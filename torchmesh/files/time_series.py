@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import meshio
 import numpy as np
 
 from ..errors import InvalidMeshError, MeshIOError, MeshWarning
@@ -26,8 +25,8 @@ from .drafts import Draft
 from .field_transfer import FieldChoice, FieldSummary, FieldTransfer, check_choice, mesh_of_values
 from .formats.format import Document
 from .formats.registry import format_of
-from .formats.xdmf import XDMF, check_data_files, is_series, write_mixed
-from .formats.xdmf_mixed import read_grid
+from .formats.xdmf import XDMF, is_series, write_mixed
+from .formats.xdmf_steps import xdmf_steps
 from .mesh_files import draft
 from .messages import translated, warn
 from .placed import CurvedSummary, Placed
@@ -105,11 +104,11 @@ def read_series(path: str | os.PathLike[str], *, regions: str | None = None) -> 
     if not is_series(path):
         source = Source.open(path, regions)
         return Series(source.mesh, [0.0], [0], [source], path)
-    steps = _xdmf_steps(path)
+    steps, beside = xdmf_steps(path)
     sources: list[Source] = []
     for step, (_, mesh) in enumerate(steps):
         try:
-            sources.append(Source.of(Document(mesh, XDMF.name), path, regions))
+            sources.append(Source.of(Document(mesh, XDMF.name, skipped=beside), path, regions))
         except InvalidMeshError as error:
             raise InvalidMeshError(f"step {step} of {error}") from None
     return _series_of([time for time, _ in steps], sources, path)
@@ -278,28 +277,3 @@ def _as_step(path: Path, step: int, time: float) -> ET.Element:
     grid.attrib.update({"Name": f"step {step}", "GridType": "Uniform"})
     grid.insert(0, ET.Element("Time", Value=repr(float(time))))
     return grid
-
-
-def _xdmf_steps(path: Path) -> list[tuple[float, meshio.Mesh]]:
-    """Time and mesh of each step.  meshio reads each grid of the collection as if it were a file of its own."""
-    with translated(path, "read", XDMF.name):
-        check_data_files(path)
-        domain = ET.parse(path).getroot().find("Domain")
-        if domain is None:
-            raise ValueError("it has no Domain")
-        collections = [g for g in domain.iter("Grid") if g.get("CollectionType") == "Temporal"]
-        if len(collections) != 1:
-            raise ValueError(f"it has {len(collections)} time series; one at a time can be read")
-        steps = []
-        for number, grid in enumerate(collections[0].findall("Grid")):
-            if grid.get("GridType", "Uniform") != "Uniform":
-                raise ValueError(f"step {number} is a collection of grids; give each part its own file")
-            time = grid.find("Time")
-            value = float(time.get("Value", number)) if time is not None else float(number)
-            mesh = read_grid(path, domain, grid)
-            if mesh.points is None or not mesh.cells:
-                raise ValueError(f"step {number} has no Geometry or no Topology")
-            steps.append((value, mesh))
-    if not steps:
-        raise MeshIOError(f"{path}: its time series has no steps")
-    return steps

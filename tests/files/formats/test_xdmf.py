@@ -163,3 +163,46 @@ def test_mistakes_are_named(tmp_path, old, new, what):
         return
     with pytest.raises(tm.MeshIOError, match=what):
         tm.read(tmp_path / "a.xdmf")
+
+
+def test_tags_may_name_the_geometry_of_the_first_grid_without_its_type(source, tmp_path):
+    text = source.read_text().replace("Grid[@GridType=&apos;Uniform&apos;][1]/Geometry", "Grid/Geometry")
+    (tmp_path / "plain.xdmf").write_text(text)
+    assert "Uniform&apos;" not in text
+    mesh = load(tmp_path / "plain.xdmf")
+    assert [block.type for block in mesh.cells] == ["triangle", "line"]
+    assert mesh.cell_data["walls"][1].tolist() == [1, 2, 2]
+
+
+def test_lists_of_mixed_cells_hold_curved_ones_and_polygons(tmp_path):
+    rng = np.random.default_rng(0)
+    cells = [(36, range(6)), (37, range(8)), (37, range(1, 9)), (35, range(9)), (34, range(3)), (2, (0, 1)),
+             (3, (2, 1, 0)), (3, (4, 5, 6, 7)), (4, (3, 4, 5))]  # fmt: skip
+    numbers = [n for kind, nodes in cells for n in (kind, *([len(nodes)] if kind in (2, 3) else []), *nodes)]
+    points = rng.random((9, 2))
+    items = [item("", values, "XML") for values in (np.array(numbers)[:, None], points)]
+    grids = f'<Topology TopologyType="Mixed">{items[0]}</Topology><Geometry GeometryType="XY">{items[1]}</Geometry>'
+    (tmp_path / "a.xdmf").write_text(f'<Xdmf Version="3.0"><Domain><Grid Name="m">{grids}</Grid></Domain></Xdmf>')
+    found = [(block.type, block.data.tolist()) for block in load(tmp_path / "a.xdmf").cells]
+    assert found == [
+        ("triangle6", [[*range(6)]]), ("quad8", [[*range(8)], [*range(1, 9)]]), ("quad9", [[*range(9)]]),
+        ("line3", [[0, 1, 2]]), ("line", [[0, 1]]), ("triangle", [[2, 1, 0]]), ("quad", [[4, 5, 6, 7]]),
+        ("triangle", [[3, 4, 5]]),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ([99, 0, 1], "type 99"),
+        ([36, 0, 1, 2], "cut short"),
+        ([3, 5, 0, 1, 2, 3, 4], "type 3 with 5 nodes"),
+        ([3], "type 3 with 0"),
+    ],
+)
+def test_damaged_lists_of_mixed_cells_are_told(tmp_path, numbers, text):
+    items = [item("", values, "XML") for values in (np.array(numbers)[:, None], POINTS)]
+    grids = f'<Topology TopologyType="Mixed">{items[0]}</Topology><Geometry GeometryType="XY">{items[1]}</Geometry>'
+    (tmp_path / "a.xdmf").write_text(f'<Xdmf Version="3.0"><Domain><Grid Name="m">{grids}</Grid></Domain></Xdmf>')
+    with pytest.raises(tm.MeshIOError, match=text):
+        tm.read(tmp_path / "a.xdmf")

@@ -1,4 +1,4 @@
-"""One grid of an XDMF file, read by meshio, which is handed lists of cells of several types as several lists of one type.
+"""One grid of an XDMF file, read by meshio, which is handed a list of cells of several types as lists of one type.
 
     Mixed   36 0 1 2 3 4 5   37 1 6 7 2 8 9 10 4      a type, then the nodes; lines and polygons with their number first
 
