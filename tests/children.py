@@ -5,10 +5,30 @@ ignored, and a child that ignores it cannot be interrupted: so the children star
 """
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
+
+# A module that every Python process runs at its start: it interrupts the process when a module is about to be imported.
+TRAP = """
+import os, signal, sys
+class Trap:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            sys.meta_path.remove(self)
+            for _ in range({times}):
+                os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Trap())
+"""
+
+
+def interrupted_at(name: str, folder: Path, times: int = 1) -> str:
+    """The PYTHONPATH of processes that are interrupted when they import a module; the trap lies in the folder."""
+    (folder / "sitecustomize.py").write_text(TRAP.format(name=name, times=times))
+    return os.pathsep.join([str(folder), *sys.path])
 
 
 @contextlib.contextmanager

@@ -29,8 +29,22 @@ def incircle(a, b, c, d) -> Fraction:
 
 def double_areas(mesh) -> list[Fraction]:
     """Twice the signed area of every triangle of a mesh."""
-    points = mesh.points.tolist()
-    return [double_area(*(points[v] for v in row)) for row in mesh.triangles.tolist()]
+    return areas_of(mesh.points.tolist(), mesh.triangles.tolist())
+
+
+def areas_of(points, triangles) -> list[Fraction]:
+    """Twice the signed area of every triangle, each three rows of the points, of which two coordinates are read.
+
+    The coordinates become integers of one unit, a power of two: the numbers of `double_area`, several times faster.
+    """
+    ratios = [(float(p[0]).as_integer_ratio(), float(p[1]).as_integer_ratio()) for p in points]
+    unit = max((d for pair in ratios for _, d in pair), default=1)
+    whole = [(x * (unit // dx), y * (unit // dy)) for (x, dx), (y, dy) in ratios]
+    areas = []
+    for a, b, c in triangles:
+        (ax, ay), (bx, by), (cx, cy) = whole[a], whole[b], whole[c]
+        areas.append(Fraction((bx - ax) * (cy - ay) - (by - ay) * (cx - ax), unit * unit))
+    return areas
 
 
 def inverted(mesh) -> int:

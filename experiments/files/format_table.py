@@ -33,11 +33,12 @@ def kept(form: str, feature: Feature, folder: Path) -> bool:
         warnings.simplefilter("ignore")
         try:
             Draft.of(first, feature.make(form)).save()
-            if not feature.there(load(first), tm.read(first)):
+            given = tm.read(first)
+            if not feature.there(load(first), given):
                 return False
         except tm.MeshError:
             return False
-        tm.write(second, moved(tm.read(first)), like=first)
+        tm.write(second, moved(given), like=first)
         return feature.there(load(second), tm.read(second))
 
 

@@ -73,14 +73,20 @@ def test_a_loader_gives_the_meshes_in_order(made, paths, workers):
     assert same(tm.join([batch.undeformed for batch in batches]), made.undeformed)
 
 
-def test_generated_meshes_are_the_stream(made):
+@pytest.fixture
+def few_at_once(monkeypatch) -> None:
+    """The stream draws as many meshes ahead as are looked at; how many it draws changes none of them."""
+    monkeypatch.setattr("torchmesh.learning.datasets._AT_ONCE", 4)
+
+
+def test_generated_meshes_are_the_stream(made, few_at_once):
     items = list(itertools.islice(GeneratedMeshes(["gate", "circle"], **OPTIONS), 10))
     assert same(tm.join(items), made.deformed)
     pairs = list(itertools.islice(GeneratedMeshes(["gate", "circle"], pairs=True, **OPTIONS), 3))
     assert all(same(pair.undeformed, mesh) for pair, mesh in zip(pairs, made.undeformed.split(), strict=False))
 
 
-def test_workers_share_the_domains(made):
+def test_workers_share_the_domains(made, few_at_once):
     stream = GeneratedMeshes(["gate", "circle"], **OPTIONS)
     loader = DataLoader(stream, batch_size=2, collate_fn=collate, num_workers=2)
     # Batches come from the workers in turn: the motions of one domain from one, of the next from the other.

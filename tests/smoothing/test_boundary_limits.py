@@ -15,6 +15,7 @@ def test_no_fan_of_boundary_triangles_passes_its_limit(degrees, ratio):
     alpha, generator = math.radians(degrees), torch.Generator().manual_seed(degrees)
     fans = []
     for k in range(1, 7):
+        fan = tm.MeshBatch.from_arrays(torch.zeros(k + 2, 2, dtype=torch.float64), [[0, i + 1, i + 2] for i in range(k)])
         for trial in range(40):
             # Between sides of lengths 1 and `ratio`: equal shares at first, then any.
             part = torch.rand(k, generator=generator, dtype=torch.float64) if trial else torch.ones(k).double()
@@ -25,8 +26,7 @@ def test_no_fan_of_boundary_triangles_passes_its_limit(degrees, ratio):
                 continue
             boundary = torch.stack([length * turn.cos(), length * turn.sin()], 1)
             points = torch.cat([torch.zeros(1, 2, dtype=torch.float64), boundary])
-            fan = torch.tensor([[0, i + 1, i + 2] for i in range(k)])
-            fans.append(tm.MeshBatch.from_arrays(points, fan))
+            fans.append(fan.with_points(points))
     assert len(fans) > 50
     batch = tm.join(fans)
     limit, least = (v[batch.point_offsets[:-1]] for v in fan_limits(batch, torch.ones(len(batch.points)).bool()))
