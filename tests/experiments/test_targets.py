@@ -8,7 +8,7 @@ from experiments.speed import targets
 from experiments.speed.target_rows import ratio_row
 from torchmesh.bench.stopwatch import Seconds
 
-TINY = ["--small", "300", "--medium", "500", "--large", "800", "--meshes", "3", "--repeats", "1"]
+TINY = ["--small", "150", "--medium", "200", "--large", "300", "--meshes", "2", "--repeats", "1"]
 
 
 @pytest.mark.slow

@@ -15,7 +15,8 @@ def test_no_fan_of_boundary_triangles_passes_its_limit(degrees, ratio):
     alpha, generator = math.radians(degrees), torch.Generator().manual_seed(degrees)
     fans = []
     for k in range(1, 7):
-        fan = tm.MeshBatch.from_arrays(torch.zeros(k + 2, 2, dtype=torch.float64), [[0, i + 1, i + 2] for i in range(k)])
+        rows = [[0, i + 1, i + 2] for i in range(k)]
+        fan = tm.MeshBatch.from_arrays(torch.zeros(k + 2, 2, dtype=torch.float64), rows)
         for trial in range(40):
             # Between sides of lengths 1 and `ratio`: equal shares at first, then any.
             part = torch.rand(k, generator=generator, dtype=torch.float64) if trial else torch.ones(k).double()
