@@ -10,7 +10,8 @@ inner circle turns by 60 to 180 degrees, and squares mapped onto letters and wou
 beforehand whether a solution exists.
 
 Each case is one line of kept_triangles.jsonl; a run that was stopped goes on where it was.  kept_triangles.md holds the
-table: valid; impossible, with a certificate; and undecided.  The exit status is 1 if a feasible case is not valid.
+table: valid; impossible, with a certificate; and undecided.  kept_triangles.certificates.jsonl holds the certificates,
+for `python experiments/robustness/check_certificates.py FILE`.  The exit status is 1 if a feasible case is not valid.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ import torchmesh as tm
 from experiments.shared import arguments, feasible, tables
 from experiments.shared.tangles import FAMILIES, tangle
 from torchmesh.bench import exact_check
+from torchmesh.diagnosing.certificates import certificates
 
 RADII, DEGREES = (0.3, 0.5, 0.6, 0.7), (60, 120, 150, 180)
 
@@ -101,6 +103,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             if name.startswith("wound") and not exact_check.boundary_is_simple(mesh):
                 continue  # with so few vertices the turns of the spiral cross
             row = {"case": name, "kind": name.split("-")[0], "feasible": name in known, **measure(mesh)}
+            if row["impossible"]:
+                proved = {"case": name, **certificates(mesh, tm.diagnose(mesh, "keep", thorough=True))}
+                with (given.out / "kept_triangles.certificates.jsonl").open("a") as file:
+                    file.write(json.dumps(proved) + "\n")
             rows.append(row)
             out.write(json.dumps(row) + "\n")
             out.flush()

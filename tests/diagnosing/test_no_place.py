@@ -8,8 +8,11 @@ import pytest
 import torch
 
 import torchmesh as tm
+from experiments.shared import feasible
 from torchmesh.bench import boundary
-from torchmesh.diagnosing.no_place import NoPlace, Step, check_no_place, no_place, vertex_without_place
+from torchmesh.diagnosing.no_place import no_place, vertex_without_place
+from torchmesh.diagnosing.no_place_check import check_no_place
+from torchmesh.diagnosing.no_place_steps import NoPlace
 from torchmesh.learning.outlines import bent_band, laid_along
 from torchmesh.mesh.connectivity import boundary_edges
 
@@ -59,7 +62,7 @@ def test_steps_that_do_not_hold_are_found(impossible):
     assert check_no_place(*arrays(mesh), replace(proof, steps=proof.steps[1:]))
     assert check_no_place(*arrays(mesh), replace(proof, steps=proof.steps[::-1]))
     fixed = int(mesh.fixed.nonzero()[0])
-    for wrong in (Step(fixed, first.cell, first.fixed), Step(first.vertex, first.cell, neighbour=first.vertex)):
+    for wrong in (replace(first, vertex=fixed), replace(first, neighbour=first.vertex), first):
         assert check_no_place(*arrays(mesh), replace(proof, steps=(wrong, *proof.steps)))
     assert check_no_place(*arrays(mesh), replace(proof, cells=proof.cells[1:]))
 
@@ -73,6 +76,19 @@ def test_of_a_mesh_that_can_be_valid_nothing_is_proved(seed):
     mesh = valid.with_points(torch.where(valid.fixed[:, None], valid.points, throw))
     assert vertex_without_place(mesh) is None
     assert tm.diagnose(mesh, "keep", thorough=True) == []
+
+
+@pytest.mark.parametrize("name", ["turned-100-0-laplace", "holes-150-1-laplace", "spiral-100-2-point"])
+def test_of_domains_with_holes_nothing_is_proved_either(name):
+    assert vertex_without_place(feasible.case(name).tangled) is None
+
+
+def test_a_thin_ring_whose_inner_circle_has_turned_is_impossible():
+    mesh = feasible.meshed(feasible.ring(0.7), np.random.default_rng(0), 200)
+    points = torch.from_numpy(feasible.twisted(mesh.points.numpy(), 0.7, np.pi))
+    proof = vertex_without_place(mesh.with_points(points))
+    assert proof is not None
+    assert check_no_place(mesh.with_points(points).points.numpy(), *arrays(mesh)[1:], proof) == []
 
 
 def test_holes_crossings_and_fixed_vertices_inside_prove_nothing_wrongly():

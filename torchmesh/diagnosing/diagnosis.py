@@ -98,8 +98,8 @@ def _proved(batch: MeshBatch, known: set[int]) -> list[Problem]:
             ring = batch[b].triangles[(batch[b].triangles == v).any(1)].unique()
             place = position_of(batch[b].points[ring[ring != v]].mean(0).cpu().numpy())
             text = (
-                f"vertex {v} has no place: wherever it is in the domain, its edges do not reach what they have to "
-                f"reach ({len(proof.steps)} steps prove it)"
+                f"vertex {v} has no place: wherever it is in the domain, an edge does not reach what it has to reach, "
+                f"or a triangle is inverted ({len(proof.steps)} steps prove it)"
             )
             problems.append(Problem(ProblemKind.NO_PLACE, text, b, (v,), place, proof))
     return problems
@@ -250,5 +250,5 @@ def _obstructions(walls: Walls, most: int) -> Iterator[Finding]:
     for v in vertices_without_kernel(points, faces, fixed, inner, most)[:most].tolist():
         ring = np.setdiff1d(faces[(faces == v).any(1)], [v])
         place = position_of(points[ring].mean(0))
-        text = f"the vertices round vertex {v}, near {text_of(place)}, are fixed and leave it no place"
+        text = f"the fixed edges round vertex {v}, near {text_of(place)}, leave it no place"
         yield Finding(ProblemKind.NO_KERNEL, text, (v,), place)

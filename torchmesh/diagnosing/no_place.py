@@ -1,347 +1,311 @@
 r"""Free vertices without a place: a proof that no positions make the triangles valid, by going from edge to edge.
 
-         d1    d2
-     +---/-----\---+      Inside one boundary that does not cross itself a valid mesh covers the polygon once, so that
-     |  / t     \  |      all of its edges lie in it.  The polygon is cut into triangles, the cells.  An edge from cell
-     +-/---+-----\-+      t to cell t' crosses all chords d between them, and can do so only if a straight line has
-           |      \|      their left ends on one side and their right ends on the other.  A vertex loses a cell
-           |    d3 +
-           | t'    |        - that no straight line joins to a fixed neighbour, or to any cell that a free neighbour has
-           +-------+          still; or that lies beyond a fixed edge of which the vertex has to be on the left.
+     +-------------+      Inside a boundary that does not cross itself a valid mesh covers the domain once, so that
+     |      /\     |      all of its edges lie in it.  The domain is cut into triangles, the cells.  A vertex loses a
+     |    a/  \    |      cell if for one of its neighbours, wherever that still may be,
+     +----+    +---+
+     |  v    .   u |        - no straight line inside the domain joins the cell to it (`lines_of_sight`), or
+     +-------------+        - a triangle of both vertices would be inverted, wherever its third corner still may be.
 
-A vertex that has lost all cells has no place.  That chords have no straight line in common is shown by two segments
-between ends of one side each that cross properly, or by an end of one side inside a triangle of ends of the other
-(Kirchberger's theorem): exact signs.  Taking values away by pairs of neighbours until nothing changes is arc
-consistency (Mackworth, Consistency in networks of relations, Artificial Intelligence 8, 1977).
+A vertex that has lost all cells has no place.  Fixed vertices are where they are.  Taking values away by pairs of
+neighbours until nothing changes is arc consistency (Mackworth, Consistency in networks of relations, Artificial
+Intelligence 8, 1977).  Then cells are cut into four, which shows more, and all starts again with what is left.
+
+The search computes by floating point; a proof is told when `check_no_place` has found it right by exact signs.
 """
 
-import itertools
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import torch
 
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import boundary_edges, triangle_components, twins
-from ..triangulating.arrays import Obstacle, signs
+from ..triangulating.arrays import Obstacle
 from ..triangulating.polygon import loops_of
 from ..triangulating.polygon_triangulation import triangulate_polygon
+from .lines_of_sight import Cells, Run, TooMany, beside, cut_in_four, unblocked
+from .no_place_check import check_no_place
+from .no_place_steps import Level, NoPlace, Place, Step, needed
 
-# Boundaries of more vertices are left alone: the pairs of cells are too many.
-_MOST = 250
-
-# In these directions the ends of many chords are looked at.
-_DIRECTIONS = np.stack([np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], 1)
-
-Chord = tuple[int, int]
+# What a call costs whatever it is asked, in determinants.
+_CALL = 5_000
 
 
 @dataclass(frozen=True)
-class Step:
-    """A vertex loses a cell.
+class PlaceOptions:
+    """How long `vertex_without_place` looks.
 
-    vertex, cell  which
-    fixed         (a,) a fixed neighbour to which no straight line leads; (a, b) a fixed edge whose right side the cell
-                  is on, where the mesh has the triangle (a, b, vertex); () for a free neighbour
-    neighbour     the free neighbour of which no cell that is left can be reached; -1 if there is none
+    cuts        how often cells are cut into four
+    most_lines  runs of chords that are followed at most; domains with more are left alone
+    most_parts  parts of cells at most; a cut that leads to more is left out
+    most_work   determinants of three points, and pairs of parts, that are looked at at most.  Of the hard cases of
+                experiments/robustness/kept_triangles.py with 120 to 500 triangles none that was proved impossible took
+                more than half of this, and the others take a second of a processor
+    each        of `most_lines`, `most_parts` and `most_work` meshes of more than 500 triangles have so much more for
+                each of them: what else is tried takes longer there, too
+    vague       a third corner that has more than this part of all parts of cells tells nothing about a triangle
+    tries       neighbours' parts that are tried singly before all are
     """
 
-    vertex: int
-    cell: int
-    fixed: tuple[int, ...] = ()
-    neighbour: int = -1
+    cuts: int = 1
+    most_lines: int = 15_000
+    most_parts: int = 450
+    most_work: int = 20_000_000
+    each: tuple[int, float, int] = (10, 0.5, 20_000)
+    vague: float = 0.3
+    tries: int = 3
 
 
-@dataclass(frozen=True)
-class NoPlace:
-    """The proof that a free vertex has no place.
-
-    vertex  which
-    cells   (C, 3) the corners of the cells
-    steps   in order; a step holds because of those before it
-    """
-
-    vertex: int
-    cells: np.ndarray
-    steps: tuple[Step, ...]
-
-
-def vertex_without_place(mesh: MeshBatch) -> NoPlace | None:
+def vertex_without_place(mesh: MeshBatch, options: PlaceOptions | None = None) -> NoPlace | None:
     """A proof that a free vertex of one mesh has no place, in the first piece that has one."""
     points = mesh.points.detach().to("cpu", torch.float64).numpy()
     triangles, fixed = mesh.triangles.cpu(), mesh.fixed.cpu().numpy()
     label = triangle_components(triangles, mesh.twin.cpu())
     for piece in range(int(label.max()) + 1 if len(label) else 0):
         faces = triangles[label == piece]
-        found = no_place(points, faces.numpy(), fixed, boundary_edges(faces, twins(faces)).numpy())
+        found = no_place(points, faces.numpy(), fixed, boundary_edges(faces, twins(faces)).numpy(), options)
         if found is not None:
             return found
     return None
 
 
-def no_place(points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, boundary: np.ndarray) -> NoPlace | None:
+def no_place(
+    points: np.ndarray,
+    triangles: np.ndarray,
+    fixed: np.ndarray,
+    boundary: np.ndarray,
+    options: PlaceOptions | None = None,
+) -> NoPlace | None:
     """A proof that some vertex of a piece has no place; None where none is found, which proves nothing.
 
     points     (V, 2) float64
     triangles  (T, 3) the piece; fixed (V,) bool
-    boundary   (E, 2) its directed boundary edges, which are one loop that does not cross itself
+    boundary   (E, 2) its directed boundary edges
     """
     loops = loops_of(boundary)
-    if len(loops) != 1 or len(loops[0]) > _MOST or len(np.unique(loops[0])) < len(loops[0]):
+    alone = len(boundary) and len(np.unique(boundary[:, 0])) == len(boundary)
+    if not alone or not fixed[boundary].all() or fixed[triangles].all():
         return None
     work = triangulate_polygon(points.copy(), loops, np.ones(len(points)))
     if isinstance(work, Obstacle):
         return None
-    return _Search(points, triangles, fixed, work.corners).run()
+    try:
+        search = _Search(points, triangles, fixed, work.corners, options or PlaceOptions())
+    except TooMany:
+        return None
+    for proof in search.proofs():
+        if not check_no_place(points, triangles, fixed, proof):
+            return proof
+    return None
 
 
 class _Search:
-    """The cells that each free vertex has still, and why it has lost the others."""
+    """The parts of cells that each free vertex has still, and why it has lost the others."""
 
-    def __init__(self, points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, cells: np.ndarray) -> None:
-        self.points, self.triangles, self.fixed, self.cells = points, triangles, fixed, cells
-        self.left = _left_of(cells)
-        self.joined = np.eye(len(cells), dtype=bool)
-        for cell in range(len(cells)):
-            self.joined[cell, self.reached(_sides(cells[cell]))] = True
-        self.joined &= self.joined.T
-        self.has = {int(v): np.ones(len(cells), bool) for v in np.unique(triangles[~fixed[triangles]])}
+    def __init__(
+        self, points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, cells: np.ndarray, options: PlaceOptions
+    ) -> None:
+        more = max(0, len(triangles) - 500)
+        lines, parts, work = options.most_lines, options.most_parts, options.most_work
+        lines, self.most_parts, self.work = (
+            int(most + more * each) for most, each in zip((lines, parts, work), options.each, strict=True)
+        )
+        self.fixed, self.cells, self.options = fixed, cells, options
+        low, high = points[cells].min((0, 1)), points[cells].max((0, 1))
+        self.xy = (points - (low + high) / 2) / (high - low).max()
+        self.apex = {
+            (int(t[k - 2]), int(t[k - 1])): int(t[k]) for t in triangles.tolist() for k in range(3)
+        }  # the third corner on the left of an edge
+        self.near: dict[int, list[int]] = defaultdict(list)
+        for one, other in self.apex:
+            self.near[one].append(other)
+            if (other, one) not in self.apex:
+                self.near[other].append(one)
+        self.free = np.unique(triangles[~fixed[triangles]]).tolist()
+        chords = Cells(self.xy, cells, lines)
+        self.runs = [chords.from_cell(cell) for cell in range(len(cells))]
+        held = {u for v in self.free for u in self.near[v] if fixed[u]} & set(cells.ravel().tolist())
+        self.runs_of = {u: chords.from_corner(u) for u in sorted(held)}
         self.steps: list[Step] = []
+        self.levels: list[Level] = []
 
-    def reached(self, sides: list[Chord]) -> list[int]:
-        """The cells that a straight line reaches across these chords (left end, right end)."""
-        found: list[int] = []
-        stack: list[tuple[Chord, tuple[Chord, ...]]] = [(chord, ()) for chord in sides]
-        while stack:
-            chord, run = stack.pop()
-            cell = self.left.get(chord)
-            if cell is None or _inseparable(self.points, run := (*run, chord)):
-                continue
-            found.append(cell)
-            stack += [(onward, run) for onward in _onward(self.cells[cell], chord)]
+    def proofs(self) -> Iterator[NoPlace]:
+        """Take places away until a vertex has none, or nothing changes: the proof, short and then with all steps."""
+        self.has = {v: np.ones(len(self.cells), bool) for v in self.free}
+        for cut in range(self.options.cuts + 1):
+            if cut and not self.cut():
+                return
+            if not cut:
+                places: list[Place] = [(cell,) for cell in range(len(self.cells))]
+                self.level(places, np.arange(len(self.cells)), self.xy[self.cells])
+            vertex = self.emptied()
+            if vertex is not None:
+                short = needed(vertex, self.steps, self.levels, self.apex, self.fixed)
+                yield NoPlace(vertex, self.cells, short)
+                yield NoPlace(vertex, self.cells, tuple(self.steps))
+                return
+
+    def cut(self) -> bool:
+        """Cut into four the parts that some vertex has still; are they few enough?"""
+        last = self.levels[-1]
+        rows = np.flatnonzero(np.any(list(self.has.values()), 0))
+        if 4 * len(rows) > self.most_parts or self.work <= 0:
+            return False
+        places = [(*last.places[row], part) for row in rows.tolist() for part in range(4)]
+        for v, has in self.has.items():
+            self.has[v] = np.repeat(has[rows], 4)
+        self.level(places, np.repeat(last.home[rows], 4), cut_in_four(last.corners[rows]))
+        return True
+
+    def level(self, places: list[Place], home: np.ndarray, corners: np.ndarray) -> None:
+        """Go on with these parts."""
+        whole = len(places[0]) == 1
+        rows = {int(cell): np.flatnonzero(home == cell) for cell in np.unique(home)}
+        joined = np.zeros((len(home), len(home)), bool)
+        for cell, here in rows.items():
+            joined[np.ix_(here, here)] = True
+            reached = self.reached(self.runs[cell], corners[here], rows, corners, whole)
+            joined[here] |= reached
+        seen = {
+            u: self.reached(runs, self.xy[u][None, None], rows, corners, False)[0] for u, runs in self.runs_of.items()
+        }
+        self.levels.append(Level(places, home, corners, joined & joined.T, seen))
+        self.hulls: dict[int, np.ndarray] = {}
+        self.support: dict[tuple[int, int], np.ndarray] = {}
+
+    def reached(
+        self, runs: list[Run], start: np.ndarray, rows: dict[int, np.ndarray], corners: np.ndarray, whole: bool
+    ) -> np.ndarray:
+        """(S, N) bool: the parts that a line reaches from the parts `start` (S, K, 2) by one of the runs."""
+        found = np.zeros((len(start), len(corners)), bool)
+        there = [run for run in runs if run.cell in rows]
+        for run in there if whole else [run for run in there if not run.lefts]:
+            found[:, rows[run.cell]] = True
+        if whole:
+            return found
+        there = [run for run in there if run.lefts]
+        # Runs of like length are looked at together.
+        there.sort(key=lambda run: len(run.lefts) + len(run.rights))
+        for first in range(0, len(there), 16):
+            some = there[first : first + 16]
+            at = np.concatenate([rows[run.cell] for run in some])
+            each = np.repeat(np.arange(len(some)), [len(rows[run.cell]) for run in some])
+            lefts, rights = (
+                self.xy[_padded(ends)][each] for ends in zip(*((r.lefts, r.rights) for r in some), strict=True)
+            )
+            open_ = unblocked(start, corners[at], lefts, rights)
+            for k in range(len(some)):
+                found[:, at[each == k]] |= open_[:, each == k]
         return found
 
-    def run(self) -> NoPlace | None:
-        """Take cells away until a vertex has none, or nothing changes."""
-        if not self.has:
-            return None
-        edges = np.unique(np.sort(np.concatenate([self.triangles[:, [k, (k + 1) % 3]] for k in range(3)]), 1), axis=0)
-        mixed = edges[self.fixed[edges].sum(1) == 1]
-        seen: dict[int, np.ndarray] = {}
-        for one, other in mixed.tolist():
-            a, v = (one, other) if self.fixed[one] else (other, one)
-            around = np.flatnonzero((self.cells == a).any(1))
-            if not len(around):
-                continue  # a fixed vertex inside is no corner of a cell
-            if a not in seen:
-                seen[a] = np.ones(len(self.cells), bool)
-                far = [_opposite(self.cells[cell], a) for cell in around.tolist()]
-                seen[a][np.append(around, np.array(self.reached(far), dtype=np.int64))] = False
-            self.lose(v, seen[a], fixed=(a,))
-        for k in range(3):
-            v, a, b = self.triangles[:, k], self.triangles[:, (k + 1) % 3], self.triangles[:, (k + 2) % 3]
-            for row in np.flatnonzero(~self.fixed[v] & self.fixed[a] & self.fixed[b]).tolist():
-                ends = int(a[row]), int(b[row])
-                one, other = (np.full(self.cells.size, end) for end in ends)
-                beyond = (signs(self.points, one, other, self.cells.ravel()).reshape(-1, 3) <= 0).all(1)
-                self.lose(int(v[row]), beyond, fixed=ends)
-        near: dict[int, list[int]] = {v: [] for v in self.has}
-        for one, other in edges[~self.fixed[edges].any(1)].tolist():
-            near[one].append(other)
-            near[other].append(one)
-        waiting = dict.fromkeys(self.has)
-        while waiting:
-            u = next(iter(waiting))
+    def emptied(self) -> int | None:
+        """Take places away by pairs of neighbours until nothing changes; a vertex that has none left, if one has."""
+        for v in self.free:
+            for u in self.near[v]:
+                if self.fixed[u]:
+                    self.revised(v, u)
+            if not self.has[v].any():
+                return v
+        waiting = {v: int(self.has[v].sum()) for v in self.free}
+        while waiting and self.work > 0:
+            u = min(waiting, key=waiting.__getitem__)
             del waiting[u]
-            if not self.has[u].any():
-                return self.told(u)
-            reach = self.joined[self.has[u]].any(0)
-            for v in near[u]:
-                if self.lose(v, ~reach, neighbour=u):
-                    waiting[v] = None
+            for v in self.near[u]:
+                if self.fixed[v]:
+                    continue
+                others = {u, *(w for w in (self.apex.get((u, v)), self.apex.get((v, u))) if w is not None)}
+                less = [self.revised(v, w) for w in sorted(others)]
+                if any(less):
+                    waiting[v] = int(self.has[v].sum())
+                    if not waiting[v]:
+                        return v
         return None
 
-    def lose(self, v: int, cells: Any, fixed: tuple[int, ...] = (), neighbour: int = -1) -> bool:
-        """The vertex loses these cells (C,) bool, if it has them still; does it lose any?"""
-        lost = np.flatnonzero(self.has[v] & cells)
-        self.steps += [Step(v, cell, fixed, neighbour) for cell in lost.tolist()]
-        self.has[v][lost] = False
+    def revised(self, v: int, u: int) -> bool:
+        """Take from the free vertex v what does not go with anything of u; does it lose something?"""
+        level, has = self.levels[-1], self.has[v]
+        rows = np.flatnonzero(has)
+        support = self.support.setdefault((v, u), np.full(len(has), -1))
+        if self.fixed[u]:
+            columns = np.zeros(1, np.int64)
+            joined = level.seen[u][rows][:, None] if u in level.seen else np.ones((len(rows), 1), bool)
+        else:
+            columns = np.flatnonzero(self.has[u])
+            # What went well before comes first.
+            known = support[rows]
+            good = np.asarray(known >= 0)
+            good[good] = self.has[u][known[good]]
+            good[good] = self.goes(v, u, rows[good], known[good])
+            rows = rows[~good]
+            joined = level.joined[np.ix_(rows, columns)]
+        self.work -= _CALL + joined.size
+        for _ in range(self.options.tries):
+            some = joined.any(1)
+            if not len(rows) or not some.any():
+                break
+            first = joined.argmax(1)
+            good = np.array(some)
+            good[some] = self.goes(v, u, rows[some], columns[first[some]])
+            support[rows[good]] = columns[first[good]]
+            joined[np.flatnonzero(some), first[some]] = False
+            rows, joined = rows[~good], joined[~good]
+        at, of = np.nonzero(joined)
+        going = self.goes(v, u, rows[at], columns[of])
+        support[rows[at[going]]] = columns[of[going]]
+        lost = rows[~np.isin(np.arange(len(rows)), at[going])]
+        self.steps += [Step(v, level.places[row], u) for row in lost.tolist()]
+        has[lost] = False
+        if len(lost):
+            self.hulls.pop(v, None)
         return len(lost) > 0
 
-    def told(self, vertex: int) -> NoPlace:
-        """The proof, with those steps only that it takes."""
-        needed = {(vertex, cell) for cell in range(len(self.cells))}
-        kept = []
-        for step in reversed(self.steps):
-            if (step.vertex, step.cell) in needed:
-                kept.append(step)
-                if step.neighbour >= 0:
-                    reach = np.flatnonzero(self.joined[step.cell]).tolist()
-                    needed |= {(step.neighbour, cell) for cell in reach}
-        return NoPlace(vertex, self.cells, tuple(kept[::-1]))
+    def goes(self, v: int, u: int, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """(N,) bool: with v in the parts `here` and u in `there` (N,), both triangles at their edge can be upright."""
+        good: np.ndarray = np.ones(len(here), bool)
+        if not len(here):
+            return good
+        corners = self.levels[-1].corners
+        start = corners[here]
+        ends = np.broadcast_to(self.xy[u], (len(here), 1, 2)) if self.fixed[u] else corners[there]
+        for third, sign in ((self.apex.get((v, u)), 1.0), (self.apex.get((u, v)), -1.0)):
+            if third is None or not (self.fixed[third] or self.has[third].mean() <= self.options.vague):
+                continue
+            hull = self.hull(third)
+            self.work -= len(here) * 3 * ends.shape[1] * len(hull)
+            good &= beside(start, ends, hull[None], sign)
+        return good
+
+    def hull(self, v: int) -> np.ndarray:
+        """(H, 2) points whose hull holds all places of the vertex."""
+        if self.fixed[v]:
+            return self.xy[v][None]
+        if v not in self.hulls:
+            points = np.unique(self.levels[-1].corners[self.has[v]].reshape(-1, 2), axis=0)
+            self.hulls[v] = points[_on_hull(points)] if len(points) > 6 else points
+        return self.hulls[v]
 
 
-def _left_of(cells: np.ndarray) -> dict[Chord, int]:
-    """Of each directed side of the cells, the cell on its left."""
-    return {side: row for row, cell in enumerate(cells) for side in _directed(cell)}
+def _padded(ends: tuple[tuple[int, ...], ...]) -> np.ndarray:
+    """(N, M) the vertices of each row, the last one repeated."""
+    most = max(map(len, ends))
+    return np.array([[*row, *[row[-1]] * (most - len(row))] for row in ends])
 
 
-def _directed(cell: np.ndarray) -> Iterator[Chord]:
-    a, b, c = cell.tolist()
-    yield from ((a, b), (b, c), (c, a))
-
-
-def _sides(cell: np.ndarray) -> list[Chord]:
-    """The sides as chords (left end, right end), as they are seen from the inside."""
-    return [(b, a) for a, b in _directed(cell)]
-
-
-def _opposite(cell: np.ndarray, corner: int) -> Chord:
-    return next(side for side in _sides(cell) if corner not in side)
-
-
-def _onward(cell: np.ndarray, chord: Chord) -> list[Chord]:
-    """The two other sides of a cell that is entered across a chord (left end, right end)."""
-    return [side for side in _sides(cell) if set(side) != set(chord)]
-
-
-def _inseparable(points: np.ndarray, run: tuple[Chord, ...]) -> bool:
-    """Is it sure that no straight line crosses all chords (left end, right end) of the run?"""
-    lefts, rights = (tuple(dict.fromkeys(chord[i] for chord in run)) for i in (0, 1))
-    if len(lefts) + len(rights) < 4 or _parted(points[list(lefts)], points[list(rights)]):
-        return False
-    lefts, rights = _outermost(points, lefts), _outermost(points, rights)
-    # Floating point proposes what crosses most clearly, and exact signs decide.
-    pairs = (np.array(list(itertools.combinations(ends, 2)), dtype=np.int64).reshape(-1, 2) for ends in (lefts, rights))
-    one, other = (pair[:, None, :] if first else pair[None] for first, pair in zip((True, False), pairs, strict=True))
-    a, b, c, d = points[one[..., 0]], points[one[..., 1]], points[other[..., 0]], points[other[..., 1]]
-    clear = np.minimum(-_area(a, b, c) * _area(a, b, d), -_area(c, d, a) * _area(c, d, b))
-    if clear.size and clear.max() > 0:
-        row, column = np.unravel_index(int(clear.argmax()), clear.shape)
-        if _cross(points, *one[row, 0].tolist(), *other[0, column].tolist()):
-            return True
-    for inner, outer in ((lefts, rights), (rights, lefts)):
-        three = np.array(list(itertools.combinations(outer, 3)), dtype=np.int64).reshape(-1, 3)
-        p, (a, b, c) = points[list(inner)][:, None], points[three].transpose(1, 0, 2)
-        areas = np.stack([_area(p, a, b), _area(p, b, c), _area(p, c, a)])
-        clear = np.maximum(areas.min(0), -areas.max(0))
-        if clear.size and clear.max() > 0:
-            row, column = np.unravel_index(int(clear.argmax()), clear.shape)
-            if _inside(points, inner[row], *three[column].tolist()):
-                return True
-    return False
-
-
-def _outermost(points: np.ndarray, ends: tuple[int, ...]) -> tuple[int, ...]:
-    """Of many ends those that are farthest in one of some directions: fewer ends prove less, and nothing wrong."""
-    if len(ends) <= len(_DIRECTIONS):
-        return ends
-    return tuple(ends[i] for i in np.unique((points[list(ends)] @ _DIRECTIONS.T).argmax(0)).tolist())
-
-
-def _area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Twice the signed areas of the triangles abc, rounded."""
-    area: np.ndarray = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
-    return area
-
-
-def _parted(one: np.ndarray, other: np.ndarray) -> bool:
-    """Is there a line between the points (N, 2) and (M, 2), as far as floating point tells?
-
-    This is asked first since it is so most often; what it says "yes" to proves nothing, and is no step of a proof.
-    """
-    # Where there is a line, one along a pair of points, one of each set, leans on both.
-    direction = (other[None] - one[:, None]).reshape(-1, 2)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], 1)
-    a, b = normal @ one.T, normal @ other.T
-    slack = 1e-12 * np.maximum(np.abs(a).max(1), np.abs(b).max(1))
-    return bool(((a.min(1) >= b.max(1) - slack) | (b.min(1) >= a.max(1) - slack)).any())
-
-
-def _sign(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """The exact sign of the area of the triangle abc."""
-    (ax, ay), (bx, by), (cx, cy) = (tuple(map(Fraction, points[v].tolist())) for v in (a, b, c))
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    return (area > 0) - (area < 0)
-
-
-def _cross(points: np.ndarray, a: int, b: int, c: int, d: int) -> bool:
-    """Do the segments ab and cd cross in a point inside both?"""
-    if _sign(points, a, b, c) * _sign(points, a, b, d) >= 0:
-        return False
-    return _sign(points, c, d, a) * _sign(points, c, d, b) < 0
-
-
-def _inside(points: np.ndarray, p: int, a: int, b: int, c: int) -> bool:
-    """Is p inside the triangle abc, of either orientation, and on none of its sides?"""
-    return abs(_sign(points, p, a, b) + _sign(points, p, b, c) + _sign(points, p, c, a)) == 3
-
-
-def check_no_place(points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, proof: NoPlace) -> list[str]:
-    """What is wrong with a proof, step by step and by exact signs alone; an empty list: it proves its claim.
-
-    The boundary must be one loop of fixed vertices that does not cross itself.  Arguments as in `no_place`.
-    """
-    wrong = []
-    cells, count = proof.cells, len(proof.cells)
-    left = _left_of(cells)
-    faces = {tuple(turned) for t in triangles.tolist() for turned in (t, t[1:] + t[:1], t[2:] + t[:2])}
-    edges = {(a, b) for a, b, _ in faces} | {(b, a) for a, b, _ in faces}
-    rim = {(a, b) for a, b, _ in faces if (b, a) not in {(p, q) for p, q, _ in faces}}
-    if any(_sign(points, *cell) <= 0 for cell in cells.tolist()):
-        wrong.append("a cell is not counter-clockwise")
-    if len(left) != 3 * count or {side for side in left if side[::-1] not in left} != rim or count != len(rim) - 2:
-        wrong.append("the cells are no triangulation of the boundary")
-    if wrong:
-        return wrong
-    lost: dict[int, set[int]] = {}
-    known: dict[tuple[int, int, tuple[int, ...]], bool] = {}
-
-    def apart(one: int, end: int, corner: tuple[int, ...]) -> bool:
-        key = one, end, corner
-        if key not in known:
-            known[key] = _never_joined(points, cells, left, *key)
-        return known[key]
-
-    for step in proof.steps:
-        v, cell = step.vertex, step.cell
-        if fixed[v]:
-            wrong.append(f"vertex {v} is fixed")
-        elif len(step.fixed) == 2:
-            if (*step.fixed, v) not in faces or not fixed[list(step.fixed)].all():
-                wrong.append(f"{step} names no triangle with a fixed edge")
-            elif any(_sign(points, *step.fixed, corner) > 0 for corner in cells[cell].tolist()):
-                wrong.append(f"{step}: the cell is not beyond the edge")
-        else:
-            other = step.fixed[0] if step.fixed else step.neighbour
-            ends = np.flatnonzero((cells == other).any(1)).tolist() if step.fixed else range(count)
-            if (v, other) not in edges or bool(fixed[other]) != bool(step.fixed) or not len(ends):
-                wrong.append(f"{step} names no neighbour on the boundary, or none that is free")
-            open_ends = set(ends) if step.fixed else set(ends) - lost.get(other, set())
-            if not all(apart(cell, end, step.fixed) for end in open_ends):
-                wrong.append(f"{step}: a straight line may lead there")
-        lost.setdefault(v, set()).add(cell)
-    if lost.get(proof.vertex, set()) != set(range(count)):
-        wrong.append(f"vertex {proof.vertex} has a cell left")
-    return wrong
-
-
-def _never_joined(
-    points: np.ndarray, cells: np.ndarray, left: dict[Chord, int], start: int, end: int, corner: tuple[int, ...]
-) -> bool:
-    """Is it sure that no straight line leads from a cell to another, or to that corner of it?"""
-    stack: list[tuple[Chord, tuple[Chord, ...]]] = [(side, ()) for side in _sides(cells[start])]
-    while stack:
-        chord, run = stack.pop()
-        cell = left.get(chord)
-        if cell is None:
-            continue
-        run = (*run, chord)
-        if cell == end:
-            # Chords that end in the corner need not be crossed to get there.
-            return _inseparable(points, tuple(c for c in run if not set(corner) & set(c)))
-        stack += [(onward, run) for onward in _onward(cells[cell], chord)]
-    return False
+def _on_hull(points: np.ndarray) -> list[int]:
+    """The rows of the points (N, 2), ascending by x and y, that are on their convex hull."""
+    found: list[int] = []
+    for rows in (range(len(points)), range(len(points) - 1, -1, -1)):
+        chain: list[int] = []
+        for row in rows:
+            x, y = points[row]
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = points[chain[-2]], points[chain[-1]]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0:
+                    break
+                chain.pop()
+            chain.append(row)
+        found += chain[:-1]
+    return found

@@ -1,15 +1,19 @@
 """What no positions of the free vertices can mend while the triangles stay: found by exact signs.
 
 Not everything is found: whether valid positions exist is as hard as a system of quadratic inequalities.
-These are the obstructions that one triangle, or the ring round one vertex, shows.  (An interior vertex
+These are the obstructions that one triangle, or the fixed edges round one vertex, show.  (An interior vertex
 of fewer than three triangles, which none could mend either, is no part of an oriented manifold.)
 """
 
 import itertools
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..triangulating.arrays import signs
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 # Up to this many triangles round a vertex all triples of them are asked; beyond, a linear program.
 _TRIPLES = 14
@@ -32,21 +36,15 @@ def inverted_fixed_triangles(points: np.ndarray, triangles: np.ndarray, fixed: n
 def vertices_without_kernel(
     points: np.ndarray, triangles: np.ndarray, fixed: np.ndarray, inner: np.ndarray, enough: int | None = None
 ) -> np.ndarray:
-    """(N,) the free vertices of `inner` (V,) bool for which the fixed ring round them leaves no position.
+    """(N,) the free vertices of `inner` (V,) bool for which the fixed edges round them leave no position.
 
     enough  stop looking when so many are found
 
-    A position is good when it lies strictly left of every edge of the ring.  By Helly's theorem there
-    is none exactly if three of these half-planes have nothing in common.
+    A position is good when it lies strictly left of every edge of the ring.  Edges with a free end say nothing yet.
+    By Helly's theorem there is no position exactly if three of these half-planes have nothing in common.
     """
-    # A vertex counts if none of its neighbours is free.
-    tied = ~fixed & inner
-    loose = (~fixed)[triangles]
-    lonely = loose.sum(1) == 1
-    other = np.zeros(len(points), bool)
-    other[triangles[~lonely][loose[~lonely]]] = True
-    tied &= ~other
-    rows, corner = np.nonzero(tied[triangles])
+    alone = (~fixed)[triangles].sum(1) == 1
+    rows, corner = np.nonzero((~fixed & inner)[triangles] & alone[:, None])
     if not len(rows):
         return rows
     centre = triangles[rows, corner]
@@ -66,6 +64,19 @@ def vertices_without_kernel(
             empty = _empty_by_triples(points, edges) if d <= _TRIPLES else _empty_by_program(points, edges)
             found.append(vertices[at[empty]])
     return np.sort(np.concatenate(found))
+
+
+def farkas_weights(points: np.ndarray, edges: np.ndarray) -> "tuple[np.ndarray, list[Fraction]] | None":
+    """Three of the `edges` (d, 2) whose left sides have nothing in common, and weights that prove it (Farkas 1902).
+
+    A point p is left of an edge if n.p > c.  The weights are not negative, not all zero, add the n to zero, and the c
+    to no less than zero: then no p exists.
+    """
+    for some in itertools.combinations(range(len(edges)), 3):
+        weights = _weights(points, edges[list(some)])
+        if weights is not None:
+            return edges[list(some)], weights
+    return None
 
 
 def _half_planes(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,6 +111,11 @@ def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def _surely_empty(points: np.ndarray, edges: np.ndarray) -> bool:
     """Do the open half-planes left of three `edges` (3, 2) have nothing in common, in rational arithmetic?"""
+    return _weights(points, edges) is not None
+
+
+def _weights(points: np.ndarray, edges: np.ndarray) -> "list[Fraction] | None":
+    """The weights of `farkas_weights` of three `edges` (3, 2), if there are some."""
     from fractions import Fraction
 
     normal, offset = [], []
@@ -108,10 +124,12 @@ def _surely_empty(points: np.ndarray, edges: np.ndarray) -> bool:
         normal.append((ay - by, bx - ax))
         offset.append((ay - by) * ax + (bx - ax) * ay)
     weight = [normal[p][0] * normal[q][1] - normal[p][1] * normal[q][0] for p, q in ((1, 2), (2, 0), (0, 1))]
-    total = sum(w * c for w, c in zip(weight, offset, strict=True))
     if not any(weight):
-        return False  # parallel to each other: other triples tell
-    return (min(weight) >= 0 and total >= 0) or (max(weight) <= 0 and total <= 0)
+        return None  # parallel to each other: other triples tell
+    if max(weight) <= 0:
+        weight = [-w for w in weight]
+    total = sum(w * c for w, c in zip(weight, offset, strict=True))
+    return weight if min(weight) >= 0 and total >= 0 else None
 
 
 def _empty_by_program(points: np.ndarray, edges: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from .no_place import NoPlace
+    from .no_place_steps import NoPlace
 
 
 class ProblemKind(str, Enum):
@@ -25,8 +25,8 @@ class ProblemKind(str, Enum):
     FIXED_TRIANGLE = "a triangle of three fixed vertices is inverted or flat"
     FIXED_QUAD = "a corner of a quad with three fixed vertices is not upright"
     FIXED_EDGE = "an edge between two fixed vertices leaves the domain or meets another"
-    NO_KERNEL = "the fixed ring round a free vertex leaves it no place"
-    NO_PLACE = "the edges of a free vertex are too few to reach from any place what they have to reach"
+    NO_KERNEL = "the fixed edges round a free vertex leave it no place"
+    NO_PLACE = "from no place of a free vertex do its edges and triangles reach what they have to reach"
 
     @property
     def local(self) -> bool:
@@ -52,7 +52,7 @@ class Problem:
     mesh      the mesh of the batch
     vertices  the vertices concerned, numbered within their mesh
     place     the position, about, in the mesh's length unit
-    proof     of NO_PLACE: the `NoPlace` that `torchmesh.diagnosing.no_place.check_no_place` checks step by step
+    proof     of NO_PLACE: the `NoPlace` that `torchmesh.diagnosing.no_place_check.check_no_place` checks step by step
     """
 
     kind: ProblemKind
