@@ -218,7 +218,7 @@ def test_what_is_dropped_is_said_once_with_the_real_name(tmp_path, motion):
             MeshIOError,
             "leads to no grid with Topology and Geometry",
         ),
-        (document('<Grid/>', more='<Grid CollectionType="Temporal"/>'), MeshIOError, "step 0 has no Geometry"),
+        (document("<Grid/>", more='<Grid CollectionType="Temporal"/>'), MeshIOError, "step 0 has no Geometry"),
         (document()[:-20], MeshIOError, "cannot be read as xdmf"),
     ],
 )

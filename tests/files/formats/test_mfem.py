@@ -81,6 +81,19 @@ def test_names_of_attributes_are_those_of_walls(source, tmp_path):
         tm.write(tmp_path / "b.vtu", tm.read(source), like=source)
 
 
+def test_numbers_of_a_set_of_attributes_may_stand_on_further_lines(source):
+    sets = 'bdr_attribute_sets\n2\n"outer wall"\n2\n1\n2\nlid 1\n3\n\nvertices\n'
+    source.write_text(SQUARE.replace("v1.0", "v1.3").replace("vertices\n", sets) + "\nmfem_mesh_end\n")
+    assert named(source)["outer wall"] == [[0, 1], [1, 2]]
+    assert named(source)["lid"] == [[2, 3]]
+
+
+def test_a_file_of_gmsh_with_the_extension_mesh_is_told(tmp_path):
+    (tmp_path / "a.mesh").write_text("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n")
+    with pytest.raises(tm.MeshIOError, match=r"a\.mesh: it is one of Gmsh's files; give it the extension \.msh"):
+        tm.read(tmp_path / "a.mesh")
+
+
 def test_quads_and_coordinates_in_space_are_read(source):
     quad = SQUARE.replace("elements\n4\n", "elements\n5\n1 3 1 5 6 2\n").replace("5\n2\n0 0\n1 0\n", "7\n2\n0 0\n1 0\n")
     source.write_text(quad + "2 0\n2 1\n")

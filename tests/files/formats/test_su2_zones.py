@@ -5,6 +5,7 @@ import torch
 
 import torchmesh as tm
 from torchmesh.files.formats.su2_zones import zones_of
+from torchmesh.files.source import Source
 
 SQUARE = "NDIME= 2\nNELEM= 4\n5 0 1 4 0\n5 1 2 4 1\n5 2 3 4 2\n5 3 0 4 3\nNPOIN= 5\n"
 WALL = "NMARK= 1\nMARKER_TAG= wall\nMARKER_ELEMS= 2\n3 0 1\n3 1 2\n"
@@ -74,3 +75,19 @@ def test_mistakes_are_named(tmp_path, old, new, what):
 def test_the_number_of_zones():
     assert zones_of(["% NZONE= 3\n", " NZONE = 2 % two\n"]) == 2
     assert zones_of(["NDIME= 2\n", "NELEM= 0\n", "NZONE= 2\n"]) == 1
+
+
+def test_messages_name_points_and_elements_as_their_zones_count_them(tmp_path):
+    wrong = TEXT.replace("2. 1. 3\n", "nan 1. 3\n")
+    (tmp_path / "in.su2").write_text(wrong)
+    with pytest.raises(tm.InvalidMeshError, match=r"points row 8 .*in the file: node 3 of zone 2\)"):
+        tm.read(tmp_path / "in.su2")
+    source = Source.open(_saved(tmp_path / "b.su2", TEXT))
+    assert source.explained("triangles 1 and 6 are inverted, at vertex 5").endswith(
+        "(in the file: node 0 of zone 2; elements 1 of zone 1, 2 of zone 2)"
+    )
+
+
+def _saved(path, text):
+    path.write_text(text)
+    return path

@@ -127,7 +127,7 @@ def element_kind(name: str, nodes: int) -> str:
     if re.match(r"(B\d|T\dD|SAX|MAX|PIPE|ELBOW|FRAME|[AD]C1D|DSAX|RB|RAX|GK\d|ITT|CONN)", name):
         return f"line{nodes}"
     solid = re.match(r"(A?C3D|DC3D|DCC3D|SC\d|CSS|COH3D|F?C3D|GKPS|Q3D)", name) is not None
-    planar = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9", 7: "triangle7"}
+    planar = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
     volume = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15", 20: "hexahedron20"}
     known = volume if solid else planar
     if nodes not in known:

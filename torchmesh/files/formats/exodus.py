@@ -15,14 +15,14 @@ import numpy as np
 
 from ..swelling import check_netcdf
 from .deck import TRIANGLES, triangles_of
-from .format import LINEAR, Document, Format
+from .format import LINEAR, Document, Format, numbers_by_type
 from .meshio_formats import MeshioFormat
 from .sides import edges_of, followed
 
 BLOCK = "exodus:block"
 
 _VOLUME = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 20: "hexahedron20", 27: "hexahedron27"}
-_PLANAR = {3: "triangle", 4: "quad", 6: "triangle6", 7: "triangle7", 8: "quad8", 9: "quad9"}
+_PLANAR = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
 _ONE = {1: "vertex", 2: "line", 3: "line3", 4: "line4"}
 
 
@@ -82,10 +82,10 @@ class ExodusFormat(MeshioFormat):
             by_element = [f"attributes of block {n}" for n in file.blocks if _varies(data, f"attrib{n}")]
             at_nodes = _values_of_node_sets(data)
             node_numbers = _numbers(data, ("node_num_map", "node_map"), len(mesh.points))
-            elements = _numbers(data, ("elem_num_map", "elem_map"), _size(data, "num_elem"))
+            cell_numbers = _cell_numbers(data, mesh, file)
         return Document(
             mesh, self.name, rest=file, sides=sides, by_element=tuple(by_element), at_nodes=at_nodes,
-            node_numbers=node_numbers, cell_numbers=_by_type(mesh, elements[file.triangles]),
+            node_numbers=node_numbers, cell_numbers=cell_numbers,
         )  # fmt: skip
 
     def patches(self, document: Document) -> bool:
@@ -269,11 +269,13 @@ def _read_results(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:
     file.others += ["the times of the steps"] if steps > 1 else []
 
 
-def _by_type(mesh: meshio.Mesh, numbers: np.ndarray) -> dict[str, np.ndarray]:
-    """The numbers of all triangles, in file order, by their types."""
-    types = [np.full(len(b.data), b.type == "triangle6") for b in mesh.cells if b.type in TRIANGLES]
-    second = np.concatenate([np.zeros(0, bool), *types])
-    return {"triangle": numbers[~second], "triangle6": numbers[second]}
+def _cell_numbers(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> dict[str, np.ndarray]:
+    """The numbers of all elements by their types."""
+    numbers = _numbers(data, ("elem_num_map", "elem_map"), _size(data, "num_elem"))
+    sizes = [_size(data, f"num_el_in_blk{n + 1}") for n in range(max(file.blocks, default=0))]
+    starts = np.cumsum([0, *sizes])
+    blocks = zip(file.blocks, mesh.cells, strict=False)
+    return numbers_by_type(mesh, [numbers[starts[n - 1] : starts[n - 1] + len(block.data)] for n, block in blocks])
 
 
 def _columns(variable: Any) -> np.ndarray:

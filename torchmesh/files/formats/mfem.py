@@ -117,11 +117,9 @@ class MfemFormat(TextFormat):
             parts.skipped.append(f"the {key}")
             (count,) = reader.whole(f"the number of {key}")
             for _ in range(count):
-                row = reader.text(f"one of the {key}")
-                if (found := re.fullmatch(r'"([^"]*)"\s+(\d+)((?:\s+\d+)*)', row)) is None:
-                    raise ValueError(f"a row of {key} is not a name and numbers: {row[:60]!r}")
+                name, members = _read_set(reader, key)
                 if key == "bdr_attribute_sets":
-                    parts.sets[found[1]] = [int(word) for word in found[3].split()]
+                    parts.sets[name] = members
         elif key != "mfem_mesh_end":
             raise ValueError(f"its section {key[:40]!r} is not known")
 
@@ -174,3 +172,18 @@ def _read_elements(
 # The extension .mfem is ours: it says that a new file is not to be one of Medit's.
 MFEM = MfemFormat("mfem", (".mfem", ".mesh"), ("vertex", *LINEAR, *CURVED), point_data="none", cell_data="regions",
                   region_name=ATTRIBUTE)  # fmt: skip
+
+
+def _read_set(reader: Reader, key: str) -> tuple[str, list[int]]:
+    """The name of a set of attributes, in quotes or a word, and its members, which may stand on further lines."""
+    row = reader.text(f"one of the {key}")
+    if (begun := re.fullmatch(r'(?:"([^"]*)"|([^\s"]+))((?:\s+\d+)*)', row)) is None:
+        raise ValueError(f"a row of {key} is not a name and numbers: {row[:60]!r}")
+    name = begun[1] if begun[2] is None else begun[2]
+    words = begun[3].split()
+    while not words or len(words) <= int(words[0]):
+        more = reader.text(f"the numbers of {name!r}").split()
+        if not more or not all(re.fullmatch(r"\d{1,9}", word) for word in more):
+            raise ValueError(f"a number of {name!r} among the {key} is none: {' '.join(more)[:60]!r}")
+        words += more
+    return name, [int(word) for word in words[1 : 1 + int(words[0])]]

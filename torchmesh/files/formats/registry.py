@@ -94,6 +94,8 @@ def format_in(path: Path) -> Format:
         with open(path, "rb") as stream:
             head = stream.read(4096)
         candidates = [form for form in candidates if form.recognises(head)] or candidates
+        if head.startswith(b"$MeshFormat") and candidates[0].name != "gmsh":
+            raise MeshIOError(f"{path}: it is one of Gmsh's files; give it the extension .msh")
     return candidates[0]
 
 

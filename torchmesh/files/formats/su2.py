@@ -15,7 +15,7 @@ import meshio
 import numpy as np
 
 from .format import FLAT, LINEAR, Document, Format, counted_through
-from .su2_zones import Su2Lines, dimension, flat_points, read_zones, section_rows, zones_of
+from .su2_zones import Su2Lines, dimension, flat_points, numbers_in_zones, read_zones, section_rows, zones_of
 from .text_numbers import number_lines, numbers_of
 
 _TAG = "su2:tag"
@@ -42,7 +42,8 @@ class Su2Format(Format):
             if zones_of(list(itertools.islice(stream, 200))) > 1:
                 stream.seek(0)
                 zones, file = read_zones(list(stream), _elements, _TAG)
-                return Document(zones, self.name, rest=file)  # each zone counts from 0
+                nodes, cells = numbers_in_zones(zones, file)
+                return Document(zones, self.name, rest=file, node_numbers=nodes, cell_numbers=cells)
             stream.seek(0)
             mesh, file = _parse(list(stream))
         return Document(mesh, self.name, rest=file, cell_numbers=counted_through(mesh, 0, FLAT))

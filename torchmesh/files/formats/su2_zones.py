@@ -8,12 +8,14 @@ The zones lie side by side in one mesh; no point belongs to two of them.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import overload
 
 import meshio
 import numpy as np
 
+from .format import FLAT
 from .text_numbers import numbers_of, with_words
 
 # The integer cell data that says in which zone a cell is, as IZONE counts them.
@@ -67,6 +69,46 @@ def zones_of(lines: list[str]) -> int:
         if match:
             return int(match[2]) if match[1] == "NZONE" else 1
     return 1
+
+
+@dataclass(frozen=True)
+class InZones(Sequence[str]):
+    """Numbers that begin anew in each zone, as a message names them: "5 of zone 2".
+
+    numbers  (n,)
+    zones    (n,) as IZONE counts them
+    """
+
+    numbers: np.ndarray
+    zones: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @overload
+    def __getitem__(self, row: int) -> str: ...
+    @overload
+    def __getitem__(self, row: slice) -> "InZones": ...
+    def __getitem__(self, row: int | slice) -> "str | InZones":
+        if isinstance(row, slice):
+            return InZones(self.numbers[row], self.zones[row])
+        return f"{self.numbers[row]} of zone {self.zones[row]}"
+
+
+def numbers_in_zones(mesh: meshio.Mesh, file: Su2Lines) -> tuple[InZones, dict[str, InZones]]:
+    """What a file of several zones calls its points, and its triangles and quads by their type."""
+    starts = np.unique(file.starts)
+    zone = starts.searchsorted(np.arange(len(mesh.points)), "right")
+    nodes = InZones(np.arange(len(zone)) - starts[zone - 1], zone)
+    cells: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    counts: dict[int, int] = {}
+    for block, zones in zip(mesh.cells, mesh.cell_data[ZONE], strict=True):
+        if block.type in FLAT and len(zones):
+            own = int(zones[0])
+            first = counts.get(own, 0)
+            counts[own] = first + len(zones)
+            cells.setdefault(block.type, []).append((first + np.arange(len(zones)), zones))
+    return nodes, {kind: InZones(*map(np.concatenate, zip(*parts, strict=True))) for kind, parts in cells.items()}
 
 
 def read_zones(lines: list[str], elements: Elements, tag_name: str) -> tuple[meshio.Mesh, Su2Lines]:
