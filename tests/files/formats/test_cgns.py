@@ -166,8 +166,10 @@ def put(name, values):
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        (put(f"{ZONE}/ZoneType", np.frombuffer(b"Structured", np.int8)), "is structured"),
-        (put(f"{ZONE}/triangle-1", np.array([22, 0])), "polygons"),
+        (put(f"{ZONE}/ZoneType", np.frombuffer(b"Structured", np.int8)), "structured by 1 indices"),
+        (put(f"{ZONE}/ZoneType", np.frombuffer(b"Odd", np.int8)), "neither structured nor unstructured"),
+        (put(f"{ZONE}/triangle-1", np.array([22, 0])), r"polygons \(NGON_n\) of 5 corners|is cut short"),
+        (put(f"{ZONE}/triangle-1", np.array([23, 0])), r"polyhedra \(NFACE_n\)"),
         (put(f"{ZONE}/triangle-1", np.array([17, 0])), "elements of type 17"),
         (put(f"{ZONE}/triangle-1/ElementConnectivity", np.array([1, 2, 99])), "none of 1 to 7"),
         (put(f"{ZONE}/triangle-1/ElementConnectivity", np.array([1, 2])), "no rows of 3"),
@@ -182,6 +184,96 @@ def test_mistakes_are_named(tmp_path, change, what):
     with h5py.File(source, "r+") as file:
         change(file)
     with pytest.raises(tm.MeshIOError, match=what):
+        tm.read(source)
+
+
+def structured(path, low=(1, 1), high=(1, 3), place=None):
+    """A zone of four by three vertices, of which one inside lies outside; and a condition on a range."""
+    x, y = np.meshgrid(np.arange(4.0), np.arange(3.0))
+    x[1, 1] = 4.5
+    with h5py.File(path, "w", track_order=True) as file:
+        base = _node(file, "Base", "CGNSBase_t", np.array([2, 2], np.int32))
+        zone = _node(base, "Blk", "Zone_t", np.array([[4, 3], [3, 2], [0, 0]], np.int32))
+        _node(zone, "ZoneType", "ZoneType_t", "Structured")
+        grid = _node(zone, "GridCoordinates", "GridCoordinates_t")
+        for name, values in (("CoordinateX", x), ("CoordinateY", y)):
+            _node(grid, name, "DataArray_t", values)
+        condition = _node(_node(zone, "ZoneBC", "ZoneBC_t"), "wall", "BC_t", "BCWall")
+        _node(condition, "PointRange", "IndexRange_t", np.array([low, high], np.int32))
+        if place:
+            _node(condition, "GridLocation", "GridLocation_t", place)
+    return path
+
+
+def test_cells_of_a_structured_zone_are_quads_and_its_vertices_are_moved_in_place(tmp_path):
+    source = structured(tmp_path / "a.cgns")
+    mesh = tm.read(source)
+    assert (len(mesh.points), len(mesh.triangles), len(mesh.quads)) == (12, 0, 6)
+    improved, report = tm.improve(mesh)
+    report.check()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tm.write(tmp_path / "b.cgns", improved, like=source)
+    with h5py.File(source) as one, h5py.File(tmp_path / "b.cgns") as other:
+        was, now = (f["Base/Blk/GridCoordinates/CoordinateX/ data"][()] for f in (one, other))
+        assert was.shape == now.shape == (3, 4)
+        assert np.argwhere(was != now).tolist() == [[1, 1]]
+        assert (one["Base/Blk/ data"][()] == other["Base/Blk/ data"][()]).all()
+    with pytest.warns(tm.MeshWarning, match="the structure of the zone 'Blk'"):
+        tm.write(tmp_path / "b.vtu", improved, like=source)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "place", "edges"),
+    [
+        ((1, 1), (1, 3), None, [[0, 4], [4, 8]]),
+        ((2, 3), (4, 3), "Vertex", [[9, 10], [10, 11]]),
+        ((1, 1), (3, 1), "JFaceCenter", [[0, 1], [1, 2], [2, 3]]),
+        ((4, 2), (4, 2), "IFaceCenter", [[7, 11]]),
+        ((1, 3), (3, 3), "FaceCenter", [[8, 9], [9, 10], [10, 11]]),
+    ],
+)
+def test_conditions_on_sides_of_a_structured_zone_are_walls(tmp_path, low, high, place, edges):
+    mesh = load(structured(tmp_path / "a.cgns", low, high, place)).mesh
+    (members,) = mesh.cell_sets.values()
+    assert list(mesh.cell_sets) == ["wall"]
+    assert [block.data[rows].tolist() for block, rows in zip(mesh.cells, members, strict=True)] == [[], edges]
+
+
+def test_conditions_on_whole_ranges_of_a_structured_zone_are_vertices(tmp_path):
+    mesh = load(structured(tmp_path / "a.cgns", (1, 2), (2, 3))).mesh
+    assert mesh.point_sets["wall"].tolist() == [4, 5, 8, 9]
+    for low, high in (((1, 1), (5, 1)), ((0, 1), (2, 1))):
+        with pytest.raises(tm.MeshIOError, match="'wall' leaves the zone 'Blk'"):
+            load(structured(tmp_path / "b.cgns", low, high))
+
+
+@pytest.mark.parametrize("offsets", [True, False])
+def test_polygons_of_three_and_four_corners_are_triangles_and_quads(tmp_path, offsets):
+    source = square(tmp_path / "a.cgns", mixed=True)
+    rows = [[1, 2, 5], [2, 3, 5], [3, 4, 5], [4, 1, 5], [2, 6, 7, 3]]
+    with h5py.File(source, "r+") as file:
+        section = file[f"{ZONE}/faces"]
+        section[" data"][...] = [22, 0]
+        del section["ElementConnectivity"]
+        numbers = [n for row in rows for n in ([] if offsets else [len(row)]) + row]
+        _node(section, "ElementConnectivity", "DataArray_t", np.array(numbers, np.int64))
+        if offsets:
+            _node(section, "ElementStartOffset", "DataArray_t", np.cumsum([0, *map(len, rows)]).astype(np.int64))
+    mesh = tm.read(source)
+    assert (len(mesh.triangles), len(mesh.quads)) == (4, 1)
+    improved, report = tm.improve(mesh)
+    report.check()
+    tm.write(tmp_path / "b.cgns", improved, like=source)
+    back = tm.read(tmp_path / "b.cgns")
+    assert (back.points == improved.points).all()
+    with h5py.File(source, "r+") as file:
+        section = file[f"{ZONE}/faces"]
+        if offsets:
+            section["ElementStartOffset/ data"][...] = [0, 3, 6, 9, 11, 16]
+        else:
+            section["ElementConnectivity/ data"][0] = 5
+    with pytest.raises(tm.MeshIOError, match=r"polygons \(NGON_n\) of . corners; those of three and four"):
         tm.read(source)
 
 

@@ -1,4 +1,4 @@
-"""CGNS files (.cgns) in HDF5 or ADF: unstructured planar zones, changed in place.
+"""CGNS files (.cgns) in HDF5 or ADF: planar zones, changed in place.  Cells of structured ones are quads.
 
     Base                            in HDF5, a node is a group with attributes name, label, type, and a dataset " data"
       Zone                          the numbers of vertices and cells
@@ -12,8 +12,6 @@ Vertices and elements are numbered from 1 in each zone.  https://cgns.org/standa
 """
 
 import io
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,34 +21,10 @@ import numpy as np
 
 from ..swelling import check_hdf5
 from .cgns_adf import AdfNode, AdfStore
+from .cgns_sections import NUMBERS, Section, sections_of
+from .cgns_structured import Structure
 from .cgns_tree import Node, Tree, new_tree
 from .format import Document, Format, numbers_by_type
-
-# The numbers of element types: meshio's name, the number of nodes.  The order of nodes is meshio's.
-_KINDS = {2: ("vertex", 1), 3: ("line", 2), 4: ("line3", 3), 5: ("triangle", 3), 6: ("triangle6", 6), 7: ("quad", 4),
-          8: ("quad8", 8), 9: ("quad9", 9)}  # fmt: skip
-NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
-_MIXED, _POLYGONS, _POLYHEDRA = 20, 22, 23
-
-
-@dataclass(frozen=True)
-class Section:
-    """Elements of one type of a section.
-
-    kind    meshio's name of the type
-    nodes   (n, k) their nodes, as rows of the mesh
-    path    of the array of nodes
-    places  (n,) where the nodes of each begin there
-    number  (n,) the numbers of the elements
-    start   the first vertex of their zone
-    """
-
-    kind: str
-    nodes: np.ndarray
-    path: str
-    places: np.ndarray
-    number: np.ndarray
-    start: int
 
 
 @dataclass
@@ -199,11 +173,9 @@ class _Reader:
         )  # fmt: skip
 
     def _read_zone(self, base: Tree, zone: Tree) -> None:
-        kind = next((node.text() for node in zone.children("ZoneType_t")), "Structured")
-        if kind != "Unstructured":
-            raise ValueError(f"its zone {zone.name!r} is structured; save it as an unstructured one, or as .vtu")
         start = self.file.ends[-1] if self.file.ends else 0
-        count = int(zone.whole("the numbers of its zone").reshape(-1)[0])
+        structure = Structure.of(zone, start)
+        count = int(zone.whole("the numbers of its zone").reshape(-1)[0]) if structure is None else structure.count
         grids = list(zone.children("GridCoordinates_t"))
         for more in grids[1:]:
             self.skipped[f"the coordinates {more.name!r}"] = None
@@ -219,19 +191,22 @@ class _Reader:
         self.file.axes.append([arrays[key].path for key in names])
         self.file.ends.append(start + count)
         first = len(self.file.sections)
+        if structure is not None:
+            self.file.sections.append(structure.quads())
+            self.by_element[f"the structure of the zone {zone.name!r}"] = None
         sections = [
             (int(next(node.children("IndexRange_t")).whole("a range").reshape(-1)[0]), node)
             for node in zone.children("Elements_t")
         ]
         for begin, node in sorted(sections, key=lambda pair: pair[0]):
-            self.file.sections += _sections(node, begin, start, count)
+            self.file.sections += sections_of(node, begin, start, count)
             if list(node.children("DataArray_t", "ParentElements")):
                 self.by_element[f"the parents of {node.name!r}"] = None
-        self._read_conditions(base, zone, first, start)
+        self._read_conditions(base, zone, first, start, structure)
         self._name_sections([(begin, node) for begin, node in sections], first)
         self._read_fields(zone, count)
 
-    def _read_conditions(self, base: Tree, zone: Tree, first: int, start: int) -> None:
+    def _read_conditions(self, base: Tree, zone: Tree, first: int, start: int, structure: Structure | None) -> None:
         families = {node.name: node for node in base.children("Family_t")}
         for holder in zone.children("ZoneBC_t"):
             for node in holder.children("BC_t"):
@@ -239,13 +214,28 @@ class _Reader:
                 named = families[family].children("FamilyName_t") if family in families else iter(())
                 names = [child.name for child in named] or [family or node.name]
                 place = next((child.text() for child in node.children("GridLocation_t")), "Vertex")
-                numbers = _members(node)
                 for name in names:
                     self.file.types[name] = node.text()
+                if structure is not None:
+                    self._read_sides(structure, node, names, place, first)
+                    continue
+                numbers = _members(node)
+                for name in names:
                     if place == "Vertex" and not list(node.children("IndexRange_t", "ElementRange")):
                         self.vertices.setdefault(name, []).append(start + numbers - 1)
                     else:
                         self._group(name, first, numbers)
+
+    def _read_sides(self, structure: Structure, node: Tree, names: list[str], place: str, first: int) -> None:
+        """A condition of a structured zone: lines along a side of it, or else vertices."""
+        lines, rows = structure.condition(node, place, 2 + sum(len(s.number) for s in self.file.sections[first:]))
+        if lines is not None:
+            self.file.sections.append(lines)
+        for name in names:
+            if lines is not None:
+                self._group(name, first, lines.number)
+            elif len(rows):
+                self.vertices.setdefault(name, []).append(rows)
 
     def _name_sections(self, sections: list[tuple[int, Tree]], first: int) -> None:
         """Sections are groups by their names, unless conditions have their elements; a single one of faces is none."""
@@ -303,52 +293,3 @@ def _members(node: Tree) -> np.ndarray:
         if child.name in ("PointList", "ElementList"):
             return numbers
     return np.zeros(0, np.int64)
-
-
-def _sections(node: Tree, begin: int, start: int, count: int) -> Iterator[Section]:
-    """Runs of elements of one type.  Raises ValueError for other types, and nodes that are none of the zone's."""
-    number = int(node.whole("a type of elements").reshape(-1)[0])
-    if number in (_POLYGONS, _POLYHEDRA):
-        raise ValueError(
-            f"its section {node.name!r} has polygons (NGON_n); save it with triangles and quads, or as .vtu"
-        )
-    array = next(node.children("DataArray_t", "ElementConnectivity"), None)
-    if array is None:
-        raise ValueError(f"its section {node.name!r} has no nodes")
-    nodes = array.whole("nodes of elements").reshape(-1)
-    if number == _MIXED:
-        types, places = _mixed(nodes, node.name)
-    else:
-        _check_kind(number, node.name)
-        width = _KINDS[number][1]
-        if len(nodes) % width:
-            raise ValueError(f"its section {node.name!r} has {len(nodes)} nodes, which are no rows of {width}")
-        places = np.arange(0, len(nodes), width)
-        types = np.full(len(places), number)
-    ends = [0, *(1 + np.flatnonzero(np.diff(types))).tolist(), len(types)]
-    for low, high in itertools.pairwise(ends):
-        if low == high:
-            continue
-        kind, width = _KINDS[int(types[low])]
-        rows = nodes[places[low:high, None] + np.arange(width)]
-        if (rows < 1).any() or (rows > count).any():
-            raise ValueError(f"its section {node.name!r} has a vertex that is none of 1 to {count}")
-        yield Section(kind, rows - 1 + start, array.path, places[low:high], begin + np.arange(low, high), start)
-
-
-def _mixed(nodes: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """The types of elements that stand in front of their nodes, and where these nodes begin."""
-    types, places, at, numbers = [], [], 0, nodes.tolist()
-    while at < len(numbers):
-        _check_kind(numbers[at], name)
-        types.append(numbers[at])
-        places.append(at + 1)
-        at += 1 + _KINDS[numbers[at]][1]
-    if at > len(numbers):
-        raise ValueError(f"its section {name!r} is cut short")
-    return np.array(types, np.int64), np.array(places, np.int64)
-
-
-def _check_kind(number: int, name: str) -> None:
-    if number not in _KINDS:
-        raise ValueError(f"its section {name!r} has elements of type {number}; only planar meshes can be improved")
