@@ -10,6 +10,7 @@ from torchmesh.batches.file_improvement import improve_series, open_mesh
 from torchmesh.errors import InvalidMeshError, MeshWarning
 from torchmesh.files.documents import load
 from torchmesh.files.source import Source
+from torchmesh.files.wiped import wiped
 
 PLACES = [(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1), (1, 1)]
 RADII = (0.4, 0.5, 0.7, 1.0)
@@ -231,3 +232,47 @@ def test_curved_quads_are_not_split_and_it_is_said(tmp_path):
         other = tm.MeshBatch.from_arrays(mesh.points, triangles, quads=mesh.quads[1:])
     with pytest.raises(InvalidMeshError, match=r"1 quads would have to become two triangles.*mid-side nodes"):
         tm.write(tmp_path / "out.vtu", other, like=path)
+
+
+def torn(width=9):
+    """A ring of which every element has vertices and nodes of its own, and each element stands there twice."""
+    points, quads, six = ring(width=width)
+    at, cells, start = [], [], 0
+    for rows in (quads, six):
+        at.append(points[rows.reshape(-1)])
+        own = start + np.arange(rows.size).reshape(rows.shape)
+        cells.append(np.concatenate([own, own[:3]]))
+        start += rows.size
+    return np.concatenate(at), cells[0], cells[1], points, len(quads), len(six)
+
+
+@pytest.mark.parametrize("width", [8, 9])
+def test_clean_sews_curved_elements_with_their_nodes(tmp_path, width):
+    at, quads, six, points, count, triangles = torn(width)
+    path = save(tmp_path / "in.vtu", at, quads, six, point_data={"x": at[:, 0]})
+    mesh, log = wiped(load(path), path)
+    assert (log.old_vertex[log.new_vertex[log.old_vertex]] == log.old_vertex).all()
+    assert len(mesh.points) == len(points)
+    assert [(b.type, len(b.data)) for b in mesh.cells] == [(f"quad{width}", count), ("triangle6", triangles)]
+    assert (mesh.point_data["x"] == mesh.points[:, 0]).all()
+    assert (jacobians(mesh.points, of_type(mesh, "quad")).min(1) > 0).all()
+    assert (cm.jacobians(mesh.points, of_type(mesh, "triangle")).min(1) > 0).all()
+    assert any("mid-side nodes that were there twice became one" in line for line in log)
+    mesh.write(tmp_path / "out.vtu")
+    assert Source.open(tmp_path / "out.vtu").curved.all_inverted == 0
+
+
+def test_clean_refuses_edges_whose_two_nodes_lie_apart_and_curved_cells_that_a_vertex_divides(tmp_path):
+    at, quads, six, *_ = torn()
+    at[quads[0, 5]] += 0.01
+    path = save(tmp_path / "in.vtu", at, quads[:-3], six[:-3])
+    with pytest.raises(InvalidMeshError, match="two mid-side nodes that lie apart"):
+        wiped(load(path), path)
+    mesh, _ = wiped(load(path), path, tolerance=0.02)
+    assert len(of_type(mesh, "quad")) == len(quads) - 3
+    points = np.array([[0, 0], [2, 0], [2, 1], [0, 1], [1, -1], [1, 0], [0.5, -0.5], [1.5, -0.5]] + [[0, 0.5]] * 4)
+    points[8:] = [[1, 0], [2, 0.5], [1, 1], [0, 0.5]]
+    cells = [("quad8", np.array([[0, 1, 2, 3, 8, 9, 10, 11]])), ("triangle", np.array([[0, 4, 5], [5, 4, 1]]))]
+    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells).write(tmp_path / "b.vtu")
+    with pytest.raises(InvalidMeshError, match="hangs in the side of a quad8 cell"):
+        wiped(load(tmp_path / "b.vtu"), tmp_path / "b.vtu")

@@ -61,7 +61,8 @@ def animate(
 
     The exit status is 1 if the mesh ends with inverted triangles.
     """
-    from ..batches.file_improvement import open_mesh
+    from ..batches.file_improvement import open_mesh, with_given_nodes
+    from ..pictures.curves import Curves
     from ..pictures.films import animate as write_film
     from ..pictures.films import check_film_path
 
@@ -73,10 +74,15 @@ def animate(
         improved, noun = improve_all(given, options, quiet), "step"
         names = [f"time {time:g}" for time in given.times]
         shown = [(name, improved.meshes[m]) for name, m in zip(names, given.mesh_of_step, strict=True)]
+        placed = improved.placed or [None] * len(improved.meshes)
+        curves = [Curves.of(placed[m]) for m in given.mesh_of_step]
     else:
-        observed, noun = observe(given.only(step_to_show(given, step)), options, quiet), "stage"
+        one = given.only(step_to_show(given, step))
+        observed, noun = observe(one, options, quiet), "stage"
         improved, shown = observed.improved, observed.stages
-    write_film(film, shown, title=title or source.name)
+        ends = [Curves.of(nodes[0]) if nodes else None for nodes in (with_given_nodes(one), improved.placed)]
+        curves = [ends[0], *[None] * (len(shown) - 2), ends[1]] if len(shown) > 1 else ends[:1]
+    write_film(film, shown, title=title or source.name, curves=curves)
     if not quiet:
         typer.echo(f"{film}: {console.counted(len(shown), noun)}, {film.stat().st_size / 1e6:.1f} MB")
     return console.verdict("left", improved.report.quality, improved.message(), curved=improved.curved)

@@ -45,6 +45,7 @@ def clean(
     Vertices in one position become one, but not the two sides of a slit. Triangles and quads that are there twice or
     have a corner twice go, and flat triangles on the boundary. A vertex that hangs in the side of a triangle or quad
     divides it. Neighbours are wound alike, and counter-clockwise. Vertices of no cell are dropped. No vertex moves.
+    Nodes of curved triangles and quads go along with their edges.
 
     It prints what it did, and the components of the mesh. Fields and groups keep the rows of what stays. Inverted
     triangles stay inverted: torchmesh improve mends them. The exit status is 0 also where there was nothing to mend.

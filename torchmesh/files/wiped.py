@@ -9,6 +9,7 @@ from ..errors import InvalidMeshError
 from ..mesh.clean_log import NOTHING, CleanLog
 from ..mesh.cleaning import clean
 from .content import checked, merged_rows
+from .curved_wiped import with_nodes
 from .formats.format import Document
 
 
@@ -19,19 +20,19 @@ def wiped(document: Document, path: Path, tolerance: float = 0.0, sew: bool = Fa
     tolerance, sew   as those of `clean`
 
     Point data keeps the rows of the vertices that stay, cell data those of the cells; the parts of a divided cell have
-    the data of the whole.  Other cells stay where their vertices do; those that lost a corner go.  Raises
-    InvalidMeshError as `clean` does, and for cells that cannot be dealt with.
+    the data of the whole.  Other cells stay where their vertices do; those that lost a corner go.  Of two mid-side
+    nodes of one edge, in one position, the first stays.  Raises InvalidMeshError as `clean` does, and for cells that
+    cannot be dealt with.
     """
     mesh, kinds = checked(document.mesh, path)
-    if kinds.curved:
-        raise InvalidMeshError(f"{path}: it has six-node triangles; only straight ones can be cleaned")
     rows = np.concatenate([b.data for b in mesh.cells if b.type == "triangle"]).astype(np.int64)
     first = triangle = np.arange(len(rows))
     if document.repeats_triangles:
         first, triangle = merged_rows(rows)
     quads = np.concatenate([np.zeros((0, 4), np.int64), *(b.data for b in mesh.cells if b.type == "quad")])
     others = np.zeros(len(mesh.points), bool)
-    for block in mesh.cells:
+    for block, nodes in zip(mesh.cells, kinds.middles, strict=True):
+        others[nodes] = True
         if block.type not in ("triangle", "quad"):
             others[block.data] = True
     try:
@@ -40,6 +41,8 @@ def wiped(document: Document, path: Path, tolerance: float = 0.0, sew: bool = Fa
         raise InvalidMeshError(f"{path}: {error}") from None
     blocks = _blocks(mesh, log, faces, kept, first, triangle)
     _note_lost(mesh, blocks, log)
+    if kinds.curved:
+        points, blocks = with_nodes(mesh, kinds, points, blocks, log, tolerance, path)
     result = meshio.Mesh(points, [meshio.CellBlock(kind, data) for kind, data, _ in blocks])
     ends = np.cumsum([0] + [len(b.data) for b in mesh.cells])
     for name, values in mesh.cell_data.items():

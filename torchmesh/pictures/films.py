@@ -20,6 +20,7 @@ from ..files.atomic import check_target, replacing
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import quality as measure
 from .captions import panel_title
+from .curves import Curves
 from .mesh_plot import plot_mesh, require_matplotlib
 from .regions import view_of, within, worst_region
 from .sheet import Sheet
@@ -61,18 +62,26 @@ def check_film_path(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def animate(path: str | os.PathLike[str], stages: Sequence[tuple[str, MeshBatch]], *, title: str | None = None) -> None:
+def animate(
+    path: str | os.PathLike[str],
+    stages: Sequence[tuple[str, MeshBatch]],
+    *,
+    title: str | None = None,
+    curves: Sequence[Curves | None] | None = None,
+) -> None:
     """Write a film of a mesh in its stages: whole on the left, the worst region of the first stage on the right.
 
     path    .gif or .mp4; written whole or not at all
     stages  names and meshes, each a batch of one, in order: what `improve(mesh, observe=...)` calls with
     title   stands above the pictures; None: nothing
+    curves  of each stage the curved sides of its elements (`pictures.curves.Curves`); None: there are none
 
     Raises InvalidMeshError if there is no stage or one is a batch of several; MeshIOError, and
     MissingDependencyError naming the extra.
     """
     path = check_film_path(path)
     stages = list(stages)
+    bent = [None] * len(stages) if curves is None else list(curves)
     if not stages:
         raise InvalidMeshError("a film needs at least one stage: a name and a mesh")
     for name, mesh in stages:
@@ -81,8 +90,8 @@ def animate(path: str | os.PathLike[str], stages: Sequence[tuple[str, MeshBatch]
                 f"stage {name!r} is a batch of {len(mesh)} meshes and a film shows one: improve each of batch.split()"
             )
     camera = _Camera(stages[0][1], stages[-1][1], title)
-    scenes = _scenes(stages, camera.pixels_per_unit)
-    pictures = ((camera.picture(name, mesh), seconds) for name, mesh, seconds in scenes)
+    scenes = _scenes(stages, bent, camera.pixels_per_unit)
+    pictures = ((camera.picture(name, mesh, sides), seconds) for name, mesh, sides, seconds in scenes)
     with replacing(path) as whole:
         if path.suffix.lower() == ".gif":
             _write_gif(whole, pictures)
@@ -90,15 +99,20 @@ def animate(path: str | os.PathLike[str], stages: Sequence[tuple[str, MeshBatch]
             _write_mp4(whole, pictures)
 
 
-def _scenes(stages: Sequence[tuple[str, MeshBatch]], pixels_per_unit: float) -> Iterator[tuple[str, MeshBatch, float]]:
-    """Every picture of the film: the stage's name with its number, the mesh, and the seconds it stays."""
-    for i, (name, mesh) in enumerate(stages):
+def _scenes(
+    stages: Sequence[tuple[str, MeshBatch]], curves: Sequence[Curves | None], pixels_per_unit: float
+) -> Iterator[tuple[str, MeshBatch, Curves | None, float]]:
+    """Every picture of the film: the stage's name with its number, mesh and curved sides, and the seconds it stays.
+
+    While vertices glide, all sides are straight.
+    """
+    for i, ((name, mesh), sides) in enumerate(zip(stages, curves, strict=True)):
         label = f"{i}. {name}"
         if i:
             last = stages[i - 1][1]
             for points in _glide(last, mesh, pixels_per_unit):
-                yield label, mesh.with_points(points), _MOTION
-        yield label, mesh, _FIRST if i == 0 else _LAST if i == len(stages) - 1 else _BETWEEN
+                yield label, mesh.with_points(points), None, _MOTION
+        yield label, mesh, sides, _FIRST if i == 0 else _LAST if i == len(stages) - 1 else _BETWEEN
 
 
 def _glide(before: MeshBatch, after: MeshBatch, pixels_per_unit: float) -> list[torch.Tensor]:
@@ -131,12 +145,12 @@ class _Camera:
         self.canvas = FigureCanvasAgg(self.sheet.figure)
         self.background: Any = None
 
-    def picture(self, name: str, mesh: MeshBatch) -> np.ndarray:
+    def picture(self, name: str, mesh: MeshBatch, curves: Curves | None = None) -> np.ndarray:
         """The pixels (height, width, 3) uint8; height and width are even, as video codecs want."""
-        q = measure(mesh)
-        fill = plot_mesh(self.whole, mesh, q, self.view, frame=self.close_up)
+        q = measure(mesh) if curves is None else curves.judged(measure(mesh))
+        fill = plot_mesh(self.whole, mesh, q, self.view, frame=self.close_up, curves=curves)
         self.whole.set_title(panel_title(f"{name}:", q, self.sheet.panel[0]), fontsize=10)
-        plot_mesh(self.near, mesh, q, self.close_up)
+        plot_mesh(self.near, mesh, q, self.close_up, curves=curves)
         changing = [[*ax.collections, *ax.lines, *ax.patches] for ax in (self.whole, self.near)]
         if self.background is None:
             self.sheet.colour_bar(fill)
