@@ -23,6 +23,7 @@ from ..mesh.validation import seen_from_above
 from .content import Content
 from .documents import load
 from .formats.format import Document
+from .longitudes import crosses_the_date_line
 from .messages import in_one_line, warn
 from .own_numbers import with_own_numbers
 from .placed import CurvedSummary, Placed
@@ -153,6 +154,8 @@ def _batch(content: Content, path: Path, surface: Surface | None) -> MeshBatch:
     lost = np.setdiff1d(np.flatnonzero(~content.elsewhere), np.concatenate([faces.ravel(), content.quads.ravel()]))
     texts = [str(w.message) for w in said if "belong to no triangle" not in str(w.message)]
     texts += [f"{len(lost)} vertices belong to no cell; they are kept"] if len(lost) else []
+    told = crosses_the_date_line(points, np.concatenate([faces, quads[:, :3]]))
+    texts += [told] if told else []
     for text in texts:
         warn(f"{path}: {text}")
     return mesh if surface is None else replace(mesh, frames=surface.frame)

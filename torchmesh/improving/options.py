@@ -59,8 +59,9 @@ class ImproveOptions:
     damage            what is damage, and how far scope "damage" reaches round it
     local_repair      under scope "all", a mesh of more than 20,000 triangles that is tangled in a small part and
                       excellent elsewhere is worked on only round the tangle, if that is enough; the rest keeps its
-                      bits.  This is not done with sizes, targets, reference, sliding or topology "full".  The record
-                      says what small, large and excellent mean; None: it is never done
+                      bits.  This is not done with sizes, targets, reference, sliding, topology "full", or quads, for
+                      which scope "damage" does it.  The record says what small, large and excellent mean; None: it is
+                      never done
     quads             quads that come out inverted: "keep": they stay quads, and the message names their rows; "split":
                       they become two triangles each, and the work begins anew (`Report.split_quads`)
     when              only meshes beyond this bound are worked on, and under scope "damage" only places beyond it; the
