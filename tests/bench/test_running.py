@@ -54,7 +54,8 @@ def gives_numbers(mesh):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="methods are stopped in forked processes")
 def test_whatever_a_method_does_becomes_a_row(own, tmp_path):
     names = [own(f.__name__, f) for f in (raises, refuses, sleeps, crashes, gives_numbers)]
-    names.append(own("known", lambda mesh, undeformed: bench.Result(undeformed, note="as it was"), undeformed=True))
+    names.append(own("known", lambda mesh, rest: bench.Result(rest, 0.5, note="as it was"), undeformed=True))
+    names.append(own("no-number", lambda mesh: bench.Result(mesh, "soon")))
     rows = bench.run(tmp_path, RunOptions(names, ["jitter"], limit=1, seconds=1.5))
     told = {row["method"]: (row["outcome"], row["fault"]) for row in rows}
     assert told == {
@@ -64,8 +65,10 @@ def test_whatever_a_method_does_becomes_a_row(own, tmp_path):
         "crashes": ("error", "the process ended with status 3"),
         "gives_numbers": ("invalid", "no MeshBatch but int"),
         "known": ("valid", ""),
+        "no-number": ("error", "ValueError: could not convert string to float: 'soon'"),
     }
-    assert rows[-1]["note"] == "as it was"
+    (known,) = (row for row in rows if row["method"] == "known")
+    assert (known["note"], known["seconds"], known["wall_seconds"]) == ("as it was", 0.5, 0.5)
     assert all(row["digest"] == rows[0]["digest"] and json.loads(row["versions"])["torch"] for row in rows)
 
 

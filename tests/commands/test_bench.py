@@ -1,6 +1,7 @@
 """`torchmesh bench`."""
 
 import csv
+import sys
 
 
 def test_a_foreign_method_beside_ours(call, folder):
@@ -27,8 +28,11 @@ def test_what_is_unknown_is_one_line(call):
         assert arguments[0 if arguments[1] == "0" else 1] in done.err
 
 
-def test_families_and_methods_are_listed(call):
+def test_families_and_methods_are_listed_with_what_is_missing(call, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
     done = call("bench", "list")
     assert done.status == 0
     for word in ("moved", "lengths moved", "ours-keep", "kim2017"):
         assert word in done.out
+    assert "gmsh-anew needs gmsh" in done.out
+    assert "[bench,peers]'" in done.out

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from .stopwatch import Seconds
+
 if TYPE_CHECKING:
     from ..mesh.batch import MeshBatch
-    from .stopwatch import Seconds
 
 
 class Missing(Exception):
@@ -22,10 +23,14 @@ class Result:
 
     mesh     the mesh that it made
     seconds  the time that counts, if that is not the time of the whole call: a tool's own, without the way of the mesh
-             into its data structures
+             into its data structures.  A number counts as processor time and as wall time; `Seconds(wall, cpu)` has both
     note     what a reader of the results should know, in a few words
     """
 
     mesh: "MeshBatch"
-    seconds: "Seconds | None" = None
+    seconds: "Seconds | float | None" = None
     note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.seconds is not None and not isinstance(self.seconds, Seconds):
+            object.__setattr__(self, "seconds", Seconds(float(self.seconds), float(self.seconds)))

@@ -53,7 +53,8 @@ def solve(case: Case, method: Method) -> dict[str, Any]:
             return _without(case, "error", f"{type(error).__name__}: {error}"[:300], steps_valid=step)
         seconds = watch.seconds
         if isinstance(answer, Result):
-            seconds, note, answer = answer.seconds or seconds, answer.note or note, answer.mesh
+            seconds = answer.seconds if isinstance(answer.seconds, Seconds) else seconds
+            note, answer = answer.note or note, answer.mesh
         done = done + seconds
         verdict = judge(given, answer)
         if not verdict.valid or step == len(case.path):

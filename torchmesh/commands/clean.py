@@ -73,5 +73,5 @@ def clean(
     made.save()
     if not quiet:
         for line in log:
-            console.stdout().print(line, markup=False, soft_wrap=True)
+            console.stdout().print(line, soft_wrap=True)
     return 0

@@ -102,13 +102,14 @@ def _console(**options: Any) -> "Console":
         def on_broken_pipe(self) -> None:
             raise  # rich would end the process with status 1, which means inverted triangles
 
-    return Plain(highlight=False, **options)
+    # Names may hold what would be markup: `a[1].vtu`, `torchmesh-untangle[bench,peers]`.
+    return Plain(highlight=False, markup=False, emoji=False, **options)
 
 
 def say(text: str) -> None:
     """Prints one line on standard error, if anybody reads that."""
     with contextlib.suppress(OSError):
-        _stderr().print(" ".join(told(text).split()), markup=False, soft_wrap=True)
+        _stderr().print(" ".join(told(text).split()), soft_wrap=True)
 
 
 @contextlib.contextmanager

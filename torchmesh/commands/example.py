@@ -46,7 +46,7 @@ def example(
         console.stdout().print(table)
         inside = "" if folder == Path(".") else f"cd {folder} && "
         first = "torchmesh warp undeformed.vtk tangled.vtu --displacement displacement"
-        console.stdout().print(f"first: {inside}{first}", markup=False, soft_wrap=True)
+        console.stdout().print(f"first: {inside}{first}", soft_wrap=True)
     return 0
 
 

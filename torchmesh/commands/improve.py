@@ -271,18 +271,18 @@ def _print_notes(report: "Report", draft: "SeriesDraft") -> None:
     """Says what was found in the meshes, how regions have changed, and what became of the fields."""
     notes = dict.fromkeys(note for note, valid in zip(report.notes, report.valid.tolist(), strict=True) if valid)
     for note in filter(None, notes):  # of others the verdict says it
-        console.stdout().print(f"found: {note}", markup=False, soft_wrap=True)
+        console.stdout().print(f"found: {note}", soft_wrap=True)
     if report.regions is not None:
         _print_regions(report.regions)
     if str(draft.fields):
-        console.stdout().print(f"fields: {draft.fields}", markup=False, soft_wrap=True)
+        console.stdout().print(f"fields: {draft.fields}", soft_wrap=True)
 
 
 def _print_regions(regions: "RegionAreas") -> None:
     """Says how the areas of regions changed with the interfaces between them."""
     change = 100 * regions.change
     areas = f"{console.counted(len(change), 'region')}, areas changed by {change.min():+.3g} to {change.max():+.3g} %"
-    console.stdout().print(f"interfaces: {areas}", markup=False, soft_wrap=True)
+    console.stdout().print(f"interfaces: {areas}", soft_wrap=True)
 
 
 def _told_by(source: "Source") -> dict[str, Any]:
@@ -303,7 +303,7 @@ def _print_told_by(source: "Source") -> None:
     if told.others:
         parts.append(f"no regions by cell data {', '.join(map(repr, told.others))} (--regions NAME takes it)")
     if parts and (count > 1 or told.others):
-        console.stdout().print(f"regions: {'; '.join(parts)}", markup=False, soft_wrap=True)
+        console.stdout().print(f"regions: {'; '.join(parts)}", soft_wrap=True)
 
 
 def _check_targets(source: Path, target: Path, report: Path | None, plot: Path | None) -> None:

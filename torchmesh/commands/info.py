@@ -210,13 +210,13 @@ def _print(record: dict[str, Any]) -> None:
     """Lines first, then tables of groups and fields."""
     say = console.stdout().print
     for name, text in _lines(record):
-        say(f"{name}: {console.told(text)}", markup=False, soft_wrap=True)
+        say(f"{name}: {console.told(text)}", soft_wrap=True)
     if record.get("groups"):
         _print_groups(record["groups"])
     if record["fields"]:
         _print_fields(record["fields"])
     for problem in record["problems"][:_SHOWN]:
-        say(f"problem: {console.told(problem)}", markup=False, soft_wrap=True)
+        say(f"problem: {console.told(problem)}", soft_wrap=True)
     if len(record["problems"]) > _SHOWN:
         say(f"problem: and {len(record['problems']) - _SHOWN} more")
 

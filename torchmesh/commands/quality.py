@@ -237,7 +237,7 @@ def _print(records: list[dict[str, Any]]) -> None:
         if record.get("inverted_quads"):
             rows = record["rows_of_inverted_quads"]
             shown = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
-            console.stdout().print(f"inverted quads of {_called(record)}: rows {shown}", markup=False, soft_wrap=True)
+            console.stdout().print(f"inverted quads of {_called(record)}: rows {shown}", soft_wrap=True)
 
 
 def _called(record: dict[str, Any]) -> str:

@@ -211,7 +211,8 @@ def _minimise(
     """Newton's method from `start`, each valid mesh with its own step and stopping test."""
     valid = ~segment_any(~upright(start), start.triangle_offsets)
     packing = _packed(start, valid)
-    x, step = newton(_problem(start, packing, options, aims, coefficients), packing.unknowns, valid, options)
+    problem = _problem(start, packing, options, aims, coefficients)
+    x, step = newton(problem, packing.unknowns, valid, options)
     points = packing.unpack(x, start.points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh stays where it started.
     flat = segment_any(~upright(start.with_points(points)), start.triangle_offsets) & valid
@@ -222,7 +223,7 @@ def _minimise(
         # Only meshes at a minimum have a derivative.
         at = _packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
         x = at.unknowns
-    problem = _problem(start, at, options, aims, coefficients)
+        problem = _problem(start, at, options, aims, coefficients)
     state = _State(points, problem, x, _anchors(start, at), start.fixed)
     status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
     return state, LayerInfo(valid, converged, step, status, start.with_points(points))

@@ -133,8 +133,8 @@ class _Layer(WithMesh):
         status = torch.full((len(given),), int(Status.INVERTED), device=given.points.device)
         if start is None:
             return self._valid(given, unfit, aims)
-        warm = started(given, start, unfit)
-        cold = segment_any(~upright(warm), warm.triangle_offsets) | unfit
+        warm, tangled = started(given, start, unfit)
+        cold = tangled | unfit
         if not bool(cold.any()):
             return warm, status
         again = cold & ~unfit & self._stuck(given, start)
@@ -168,8 +168,11 @@ class _Layer(WithMesh):
         return better, info.status
 
 
-def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> MeshBatch:
-    """The given meshes with the interior of `start`, carried along with the boundary where that is needed and helps."""
+def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> tuple[MeshBatch, Tensor]:
+    """The given meshes with the interior of `start`, carried along with the boundary where that is needed and helps.
+
+    Returns them, and (B,) bool which of them have inverted triangles.
+    """
     points = start.points if isinstance(start, MeshBatch) else start
     triangles, twin = (start.triangles, start._twin) if isinstance(start, MeshBatch) else (given.triangles, given._twin)
     if points.shape != given.points.shape or triangles.shape != given.triangles.shape:
@@ -180,13 +183,15 @@ def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> Mes
     before = replace(given, points=points.detach().to(given.points), triangles=triangles, _twin=twin)
     fixed = given.fixed[:, None]
     warm = before.with_points(torch.where(fixed, given.points, before.points))
-    bad = segment_any(~upright(warm), warm.triangle_offsets) & ~unfit
+    tangled = segment_any(~upright(warm), warm.triangle_offsets)
+    bad = tangled & ~unfit
     if bool(bad.any()):
         bad &= ~segment_any(~upright(before), before.triangle_offsets)
     if bool(bad.any()):
         part = before.select(bad)
         warm = put(warm, bad, femwarp(part, given.points[spread(bad, given.point_offsets)]))
-    return warm
+        tangled = segment_any(~upright(warm), warm.triangle_offsets)
+    return warm, tangled
 
 
 def _same_meshes(one: MeshBatch, other: MeshBatch) -> bool:
