@@ -23,7 +23,7 @@ class Result:
 
     mesh     the mesh that it made
     seconds  the time that counts, if that is not the time of the whole call: a tool's own, without the way of the mesh
-             into its data structures.  A number counts as processor time and as wall time; `Seconds(wall, cpu)` has both
+             into its data structures.  A number is the processor time and the wall time
     note     what a reader of the results should know, in a few words
     """
 
