@@ -9,8 +9,8 @@ import numpy as np
 # A circle in degrees; an element is suspicious if it is wider than half of it.
 _ROUND, _HALF = 360.0, 180.0
 
-# Such elements cross the date line if adding 360 makes each no wider than so many times the others are on the whole, and
-# if they are no larger part of all elements.
+# Such elements cross the date line if adding 360 makes each no wider than so many times the others are on the whole,
+# and if they are no larger part of all elements.
 _WIDER, _PART = 10.0, 0.5
 
 
