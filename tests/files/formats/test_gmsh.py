@@ -316,3 +316,47 @@ def test_partitions_and_further_groups_are_named_where_they_are_lost(tmp_path, g
     several = gmsh_model[1][4.1, 0, 0]
     with pytest.warns(tm.MeshWarning, match="further physical groups of entities"):
         tm.write(tmp_path / "c.vtu", tm.read(several), like=several)
+
+
+VERSION_4 = """$MeshFormat
+4 0 8
+$EndMeshFormat
+$PhysicalNames
+1
+2 7 "fluid"
+$EndPhysicalNames
+$Entities
+0 0 1 0
+1 0 0 0 1 1 0 1 7 0
+$EndEntities
+$Nodes
+1 5
+1 2 0 5
+1 0 0 0
+2 1 0 0
+3 1 1 0
+4 0 1 0
+5 1.4 0.5 0
+$EndNodes
+$Elements
+1 4
+1 2 2 4
+1 1 2 5
+2 2 3 5
+3 3 4 5
+4 4 1 5
+$EndElements
+"""
+
+
+def test_version_4_is_that_of_gmsh_4_0_and_becomes_4_1(tmp_path):
+    source = tmp_path / "a.msh"
+    source.write_text(VERSION_4)
+    mesh = tm.read(source)
+    assert (len(mesh.points), len(mesh.triangles)) == (5, 4)
+    after, report = tm.improve(mesh)
+    report.check()
+    with pytest.warns(tm.MeshWarning, match=r"it is in version 4\.1 instead of 4\.0"):
+        tm.write(tmp_path / "b.msh", after, like=source)
+    assert (tmp_path / "b.msh").read_bytes().startswith(b"$MeshFormat\n4.1 0 8\n")
+    assert load(tmp_path / "b.msh").cell_data["gmsh:physical"][0].tolist() == [7] * 4

@@ -18,6 +18,7 @@ from .cgns_tree import Tree
 _KINDS = {2: ("vertex", 1), 3: ("line", 2), 4: ("line3", 3), 5: ("triangle", 3), 6: ("triangle6", 6), 7: ("quad", 4),
           8: ("quad8", 8), 9: ("quad9", 9)}  # fmt: skip
 NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
+_HIGHER = (24, 25, 26, 27, 28, 40, 41, 42, 43, 44)
 _MIXED, _POLYGONS, _POLYHEDRA = 20, 22, 23
 
 
@@ -115,4 +116,5 @@ def _polygons(node: Tree, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_kind(number: int, name: str) -> None:
     if number not in _KINDS:
-        raise ValueError(f"its section {name!r} has elements of type {number}; only planar meshes can be improved")
+        what = "planar elements of first and second order" if number in _HIGHER else "only planar meshes"
+        raise ValueError(f"its section {name!r} has elements of type {number}; {what} can be improved")

@@ -37,7 +37,9 @@ class GmshFormat(Format):
     def read(self, path: Path) -> Document:
         mesh, file = gmsh_read.read(path)
         if file is None:
-            return Document(mesh, self.name)
+            with open(path, "rb") as stream:
+                words = stream.read(200).split(b"$MeshFormat", 1)[-1].split()
+            return Document(mesh, self.name, binary=words[1:2] == [b"1"])
         tied = gmsh_read.paired_nodes(file)
         corners = any(name == "ElementNodeData" for name, _ in file.sections)
         return Document(
@@ -54,6 +56,8 @@ class GmshFormat(Format):
 
     def remarks(self, like: Document | None, same_rows: bool) -> list[str]:
         file = like.rest if like is not None else None
+        if like is not None and file is None:
+            return [f"it is in version {_version(like.mesh)} instead of 4.0"]
         if file is None or file.version != "4.1" or gmsh_read.with_group_0(file) is file:
             return []
         return ["cells without a physical group are in the group 0 now, as meshio reads no file that has some of each"]

@@ -50,12 +50,12 @@ def read(path: Path) -> tuple[meshio.Mesh, MshFile | None]:
         raise ValueError("it does not begin with $MeshFormat")
     words = named["MeshFormat"].split(b"\n")[0].split()
     version, binary, size = words[0].decode(), words[1] == b"1", int(words[2])
-    if version == "4.0":
-        mesh = meshio.gmsh.read(str(path))
+    if version in ("4", "4.0"):
+        mesh = _by_meshio(path)
         mesh.point_data.pop("gmsh:dim_tags", None)
         mesh.cell_sets.clear()
         return mesh, None
-    if not version.startswith("2") and version not in ("4", "4.1"):
+    if not version.startswith("2") and version != "4.1":
         raise ValueError(f"version {version} of the format is not known (2.2, 4.0 and 4.1 are)")
     if binary and named["MeshFormat"].split(b"\n", 1)[1][:4] != np.int32(1).tobytes():
         raise ValueError("a binary file of the other byte order; save it anew with Gmsh")
@@ -69,6 +69,17 @@ def read(path: Path) -> tuple[meshio.Mesh, MshFile | None]:
     elements = [replace(block, rows=row_of(block.rows)) for block in raw]
     file = MshFile("2.2" if old else "4.1", binary, size, sections, nodes, elements)
     return _to_mesh(file, row_of), file
+
+
+def _by_meshio(path: Path) -> meshio.Mesh:
+    """A file of version 4.0, which Gmsh calls 4; meshio would take that for 4.1."""
+    reader = meshio.gmsh
+    with open(path, "rb") as stream:
+        while (line := stream.readline()).strip() != b"$MeshFormat":
+            if not line:
+                raise ValueError("it does not begin with $MeshFormat")
+        _version, size, is_text = reader.main._read_header(stream)
+        return reader._gmsh40.read_buffer(stream, is_text, size)
 
 
 def _sections(data: bytes) -> list[tuple[str, bytes]]:

@@ -23,13 +23,12 @@ from .checks import (
     is_binary_stl,
 )
 from .format import FLAT, LINEAR, Document, Format
-from .meshio_numbers import Numbers, counted, med_units, of_avs, of_med, of_permas
+from .meshio_numbers import Numbers, counted, of_avs, of_permas
 from .skipped import (
     each_once,
     in_avs,
     in_h5m,
     in_hmf,
-    in_med,
     in_medit,
     in_netgen,
     in_off,
@@ -176,10 +175,6 @@ SOLVER_FORMATS = (
     MeshioFormat(
         "medit", (".mesh", ".meshb"), LINEAR, **_ONE_TAG, region_name="medit:ref", skipped=in_medit, stream="text",
         foreign=b"MFEM", numbers=counted,
-    ),
-    MeshioFormat(
-        "med", (".med",), ("vertex", *LINEAR, "higher"), field_data=True, in_memory=True, check_file=check_hdf5,
-        skipped_file=in_med, numbers=of_med, units=med_units,
     ),
     MeshioFormat(
         "permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, skipped=in_permas, stream="text",

@@ -15,7 +15,15 @@ Names = tuple[np.ndarray | None, Mapping[str, np.ndarray]]
 Numbers = Callable[[meshio.Mesh, "bytes | Path"], Names]
 
 # Types of elements in MED, by what meshio calls them.
-_MED = {"triangle": "TR3", "quad": "QU4", "triangle6": "TR6", "quad8": "QU8", "line": "SE2", "line3": "SE3"}
+_MED = {
+    "triangle": "TR3",
+    "quad": "QU4",
+    "triangle6": "TR6",
+    "quad8": "QU8",
+    "quad9": "QU9",
+    "line": "SE2",
+    "line3": "SE3",
+}
 
 
 def counted(mesh: meshio.Mesh, _file: bytes | Path) -> Names:

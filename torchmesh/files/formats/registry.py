@@ -29,7 +29,7 @@ _MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "nastran": ("nastran", (".bdf", ".fem", ".nas")),
     "abaqus": ("abaqus", (".inp",)),
     "medit": ("meshio_formats", (".mesh", ".meshb")),
-    "med": ("meshio_formats", (".med",)),
+    "med": ("med", (".med",)),
     "permas": ("meshio_formats", (".post", ".dato")),
     "netgen": ("meshio_formats", (".vol",)),
     "avsucd": ("meshio_formats", (".avs",)),

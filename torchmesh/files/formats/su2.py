@@ -26,6 +26,9 @@ PERIODIC = "SEND_RECEIVE"
 # SU2's number of each element type: meshio's name for it, its number of nodes.
 _KINDS = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4)}
 
+# VTK's numbers of planar elements of higher orders, as Gmsh writes them into SU2's files.
+_HIGHER = (21, 22, 23, 28, 68, 69, 70)
+
 _NUMBERS = {name: number for number, (name, _) in _KINDS.items()}
 
 
@@ -152,7 +155,8 @@ def _elements(rows: list[str], section: str) -> Iterator[tuple[str, np.ndarray]]
             continue
         kind = int(kinds[begin])
         if kind not in _KINDS:
-            raise ValueError(f"element type {kind} is not planar or not known")
+            what = "of higher order, which SU2 does not have" if kind in _HIGHER else "not planar or not known"
+            raise ValueError(f"element type {kind} is {what}")
         name, width = _KINDS[kind]
         short = widths[begin:end] < 1 + width
         if short.any():
