@@ -107,7 +107,7 @@ def known_extensions() -> list[str]:
 # What files with extensions of other kinds are, and which format would do.
 _HINTS = {
     **dict.fromkeys((".vts", ".vtr", ".vti"), "a structured grid; save it as .vtu"),
-    **dict.fromkeys((".pvtu", ".pvtp"), "a list of pieces; give a piece, or save all as one .vtu"),
+    **dict.fromkeys((".pvtu", ".pvtp", ".vtpc", ".vtpd"), "a list of pieces; give a piece, or save all as one .vtu"),
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), "arrays that belong to an .xdmf file; give that"),
     **dict.fromkeys((".geo", ".brep", ".step", ".stp", ".iges", ".igs"), "a geometry; mesh it and save it as .msh"),
     **dict.fromkeys((".npy", ".npz", ".pt"), "arrays; make a mesh of them by MeshBatch.from_arrays"),
