@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from .smoothing.smoothing import SmoothOptions, smooth
     from .status import Status
     from .transferring.transfer import TransferInfo, transfer, transfer_matrix
+    from .untangling.enough_flips import EnoughFlips, enough_flips
     from .untangling.options import NewtonWays, UntangleOptions
     from .untangling.untangling import untangle
     from .warping.boundary_path import largest_step
@@ -106,6 +107,7 @@ _NAMES = {
     "smoothing.smoothing": "SmoothOptions smooth",
     "status": "Status",
     "transferring.transfer": "TransferInfo transfer transfer_matrix",
+    "untangling.enough_flips": "EnoughFlips enough_flips",
     "untangling.options": "NewtonWays UntangleOptions",
     "untangling.untangling": "untangle",
     "warping.boundary_path": "largest_step",
@@ -173,6 +175,7 @@ __all__ = [
     "ConvergenceError",
     "DeformOptions",
     "DeformReport",
+    "EnoughFlips",
     "FileResult",
     "FlipInfo",
     "FlipOptions",
@@ -211,6 +214,7 @@ __all__ = [
     "datasets",
     "deform",
     "diagnose",
+    "enough_flips",
     "domains",
     "femwarp",
     "flip_to_delaunay",

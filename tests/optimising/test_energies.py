@@ -16,6 +16,7 @@ from torchmesh.optimising.energies import (
     Regularised,
     TotalLiftedContent,
     UntangleBeta,
+    derivatives_by_autograd,
     slopes_and_curvatures,
 )
 from torchmesh.optimising.jacobian import equilateral, invariants
@@ -44,7 +45,7 @@ def test_slopes_by_hand_are_those_of_autograd(name, generator):
 
 
 @pytest.mark.parametrize("name", list(ENERGIES))
-def test_slopes_and_curvatures_by_autograd_are_differences_of_the_slopes_by_hand(name, generator):
+def test_slopes_and_curvatures_are_differences_of_the_slopes_by_hand(name, generator):
     _, stretch, det = jacobians(generator, 50, upright=True)
     stretch, det = stretch + 1, det + 0.5
     energy, h = ENERGIES[name], 1e-6
@@ -57,6 +58,18 @@ def test_slopes_and_curvatures_by_autograd_are_differences_of_the_slopes_by_hand
     for got, expected in ((ss, by_stretch[0]), (sd, by_stretch[1]), (sd, by_det[0]), (dd, by_det[1])):
         # Central differences: h^2 times a third derivative, and 1e-16 / h times the slope.
         torch.testing.assert_close(got, expected, rtol=1e-5, atol=1e-6 * float(slopes.abs().max()))
+
+
+@pytest.mark.parametrize("energy", [Regularised(0.3), Regularised(1e-3), TotalLiftedContent(1e-2)])
+def test_curvatures_by_hand_are_those_of_autograd(energy, generator):
+    """Upright triangles and inverted ones."""
+    _, stretch, det = jacobians(generator, 200)
+    for got, expected in zip(
+        slopes_and_curvatures(energy, stretch, det), derivatives_by_autograd(energy, stretch, det), strict=True
+    ):
+        # For inverted triangles and small eps terms of size 1 / eps^2 and more cancel.
+        scale = expected.abs().clamp_min(1.0)
+        torch.testing.assert_close(got / scale, expected / scale, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", list(ENERGIES))

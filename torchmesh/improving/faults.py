@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.connectivity import boundary_edges
-from ..mesh.ragged import segment_any
+from ..mesh.ragged import counts_from_offsets, segment_any
 from ..status import Status
 from .options import ImproveOptions
 from .runner import Runner, Work
@@ -73,6 +73,25 @@ def end_the_tangled(state: State, run: Runner, o: ImproveOptions) -> State:
     state = state.ended(left & state.impossible & ~fewer, Status.INFEASIBLE)
     state = state.ended(left & state.faulty & fewer, Status.PARTLY)
     return state.ended(state.tangled, Status.STALLED)
+
+
+def tell_enough_flips(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Say of meshes that are tangled in the end with how few flips they can be valid, as far as such are found."""
+    some = counts_from_offsets(state.mesh.quad_offsets) > 0
+    return run.quietly("flips", _with_enough_flips, state, ~state.valid & ~some)
+
+
+def _with_enough_flips(state: State) -> State:
+    from ..untangling.enough_flips import enough_flips
+
+    # Where the boundary itself is at fault, flips mend nothing.
+    hopeless = {problem.mesh for problem in faults_of(state.given)}
+    notes = {}
+    for b in range(len(state)):
+        found = None if b in hopeless or int(state.status[b]) == Status.NOT_FINITE else enough_flips(state.mesh[b])
+        if found is not None:
+            notes[b] = f"; {found.text()}"
+    return state.noted(notes)
 
 
 def taken_back(state: State, run: Runner, at: Tensor) -> State:

@@ -32,7 +32,7 @@ from ..status import Status
 from ..untangling.gathering import gathered
 from ..untangling.options import UntangleOptions
 from .ending import certify, compare_sizes
-from .faults import end_the_tangled, find_faults, prove_impossible, taken_back
+from .faults import end_the_tangled, find_faults, prove_impossible, taken_back, tell_enough_flips
 from .gains import where_it_pays, without_little_gains
 from .options import ImproveOptions
 from .rounding import put_back_what_stays, round_positions
@@ -80,7 +80,7 @@ def strategy(o: ImproveOptions) -> list[Step]:
     steps = [find_faults, *([round_positions] if o.rounds_positions else []), untangle_by_averaging]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
-    steps += [untangle_with_triangles_kept, end_the_tangled]
+    steps += [untangle_with_triangles_kept, end_the_tangled, *([] if o.may_flip else [tell_enough_flips])]
     steps += [flip_and_smooth if o.may_flip else smooth_slivers, smooth_at_last]
     if o.smooth.targets is None:
         steps += [better_the_sound]

@@ -146,6 +146,14 @@ class Regularised:
         # d chi / d det = chi / root.
         return phi, (1 - self.theta) * inverse, 2 * self.theta * det * inverse - phi / root
 
+    def curvatures(self, stretch: Tensor, det: Tensor) -> Tensor:
+        """(3, T) the second derivatives by stretch twice, by both, and by det twice."""
+        root = torch.sqrt(self.eps * self.eps + det * det)
+        phi, by_s, by_d = self.value_and_slopes(stretch, det)
+        inverse, part = by_s / (1 - self.theta), det / root
+        twice = 2 * self.theta * inverse * (1 - part) + (phi * part / root - by_d) / root
+        return torch.stack([torch.zeros_like(phi), -by_s / root, twice])
+
 
 @dataclass(frozen=True)
 class TotalLiftedContent:
@@ -166,12 +174,24 @@ class TotalLiftedContent:
         phi = self.value(stretch, det)
         return phi, 0.5 * self.alpha / phi, det / phi
 
+    def curvatures(self, stretch: Tensor, det: Tensor) -> Tensor:
+        """(3, T) the second derivatives by stretch twice, by both, and by det twice."""
+        phi, by_s, by_d = self.value_and_slopes(stretch, det)
+        return torch.stack([-by_s * by_s, -by_s * by_d, 1 - by_d * by_d]) / phi
+
 
 def slopes_and_curvatures(energy: Energy, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor]:
-    """The first and second derivatives of phi, by autograd of `value`.
+    """The first and second derivatives of phi, by hand where the energy has them, and else by autograd of `value`.
 
     Returns (2, T) by stretch and by det, and (3, T) by stretch twice, by both, and by det twice.
     """
+    if isinstance(energy, Regularised | TotalLiftedContent):
+        return torch.stack(energy.value_and_slopes(stretch, det)[1:]), energy.curvatures(stretch, det)
+    return derivatives_by_autograd(energy, stretch, det)
+
+
+def derivatives_by_autograd(energy: Energy, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor]:
+    """`slopes_and_curvatures` by autograd of `value`."""
     # Tensors of inference mode have no graph; copies that are made outside it do.
     with torch.inference_mode(False), torch.enable_grad():
         s, d = stretch.detach().clone().requires_grad_(), det.detach().clone().requires_grad_()

@@ -90,6 +90,9 @@ class NewtonSystem:
         self.target = Target(*(torch.as_tensor(v, dtype=torch.float64).expand(len(triangles))[touched] for v in target))
         self.weight = torch.ones(count, dtype=torch.float64) if weight is None else weight[touched]
         self.parts = _parts_of_corners(self.target)
+        # The same with a matrix for each triangle, (T, 4, 6).
+        self.by_triangle = self.parts.permute(2, 0, 1).contiguous()
+        self.moving = free.nonzero().squeeze(1)
         row = torch.full((len(points), 2), -1, dtype=torch.int64)
         row[free] = torch.arange(2 * int(free.sum())).view(-1, 2)
         self.size = 2 * int(free.sum())
@@ -119,6 +122,7 @@ class NewtonSystem:
         self.indices = (cell % n).astype(np.int32)
         self.indptr = np.searchsorted(cell, np.arange(n + 1) * n).astype(np.int32)
         self.diagonal = np.searchsorted(cell, np.arange(n) * (n + 1))
+        self.matrix = csc_matrix((np.zeros(len(cell)), self.indices, self.indptr), shape=(n, n))
 
     def invariants(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """(T,) stretch and det of J."""
@@ -152,23 +156,24 @@ class NewtonSystem:
 
     def jacobian_parts(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """The conformal and the anticonformal part of J, (2, T) each."""
-        a, b = torch.einsum("pct,tc->pt", self.parts, points[self.triangles].reshape(-1, 6)).split(2)
+        a, b = (self.by_triangle @ points[self.triangles].reshape(-1, 6, 1)).squeeze(2).T.split(2)
         return a, b
 
     def assembled(self, slope: Tensor, block: Tensor) -> tuple[np.ndarray, np.ndarray]:
         """The gradient (N,) and the matrix entries that derivatives (4, T) and (4, 4, T) by the parts of J come to."""
-        forces = torch.einsum("pct,pt->tc", self.parts, slope)
-        products = torch.einsum("pct,pqt,qdt->tcd", self.parts, block, self.parts)
+        parts = self.by_triangle
+        forces = (slope.T[:, None] @ parts).squeeze(1)
+        products = parts.transpose(1, 2) @ block.permute(2, 0, 1) @ parts
         gradient = np.bincount(self.dump.ravel(), forces.numpy().ravel(), self.size + 1)[: self.size]
         return gradient, np.bincount(self.cell, products.numpy().ravel()[self.used], len(self.indices))
 
     def solved(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         """(N,) the solution of the system with these entries; RuntimeError where the matrix is singular."""
-        from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
 
+        self.matrix.data = matrix
         factors = splu(
-            csc_matrix((matrix, self.indices, self.indptr), shape=(self.size, self.size)),
+            self.matrix,
             permc_spec="NATURAL",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
@@ -181,7 +186,7 @@ class NewtonSystem:
     def moved(self, points: Tensor, step: np.ndarray, length: float) -> Tensor:
         """(V, 2) the points after `length` times the step."""
         there = points.clone()
-        there[self.free] += length * torch.from_numpy(step).view(-1, 2)
+        there.index_add_(0, self.moving, torch.from_numpy(step).view(-1, 2), alpha=length)
         return there
 
 

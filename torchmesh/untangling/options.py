@@ -17,6 +17,8 @@ class NewtonWays:
     pushes             linear systems at most for one of them
     alphas             of the total lifted content, one after the other
     steps_per_alpha    Newton steps at most for one of them
+    least_alphas       after so many of them, one that leaves more than `stall_ratio` of the fewest inverted triangles
+                       so far is the last
     steps_per_epsilon  Newton steps at most for one epsilon of the regularised functional
     max_continuations  values of epsilon at most
     stall_patience, stall_ratio, stall_depth  the regularised functional ends where nothing is gained, by the rule of
@@ -30,6 +32,7 @@ class NewtonWays:
     pushes: int = 150
     alphas: tuple[float, ...] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
     steps_per_alpha: int = 60
+    least_alphas: int = 2
     steps_per_epsilon: int = 10
     max_continuations: int = 60
     stall_patience: int = 10

@@ -142,6 +142,26 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     return best
 
 
+def pushed(mesh: MeshBatch, options: NewtonWays, start: Tensor | None = None) -> tuple[Tensor, int, float]:
+    """Push the areas of one mesh, whose vertices are free unless fixed, from the positions `start` (V, 2).
+
+    start  None: the Tutte embedding
+
+    Returns positions, the number of inverted triangles there, and what their areas lack to nothing, relative to the
+    mean area.
+    """
+    free = ~mesh.fixed
+    start = _embedded(mesh, free) if start is None else start
+    sized = mesh.with_points(start)
+    task = _Task(sized, free, options, Best(sized, start, int((~upright(sized)).sum())))
+    least = min(options.betas)
+    system, _ = task.system(options.size_sweeps[0])
+    found = push_areas(system, task.scaled(start), least, LevenbergOptions(max_iterations=options.pushes))
+    points = torch.where(free[:, None], found.points * task.unit + task.centre, start.to(torch.float64)).to(start)
+    lack = float((-found.det).clamp_min(0).sum())
+    return points, int((~upright(mesh.with_points(points))).sum()), lack
+
+
 def _embedded(mesh: MeshBatch, free: Tensor) -> Tensor:
     """(V, 2) every free vertex at the mean of its neighbours."""
     one = torch.ones(len(mesh.triangles), dtype=torch.float64)
@@ -205,12 +225,14 @@ def _lifted(task: _Task, points: Tensor, sweeps: int) -> bool:
     """Falling alpha; are the triangles upright in the end?"""
     options, (system, area) = task.options, task.system(sweeps)
     settings = ProjectedOptions(options.steps_per_alpha, 1e-9, 1e-10, floor=0.0, common_floor=1e-8)
-    for alpha in options.alphas:
+    fewest = len(system.triangles) + 1.0
+    for number, alpha in enumerate(options.alphas):
         system.weight = area
         found = minimise_by_projection(system, points, TotalLiftedContent(alpha), settings, enough=True)
         system.weight = torch.ones_like(area)
-        points = found.points
+        points, count = found.points, int((found.det <= 0).sum())
         task.best.iterations += found.iterations
-        if bool((found.det > 0).all()):
+        if not count or (number >= options.least_alphas and count > options.stall_ratio * fewest):
             break
+        fewest = min(fewest, count)
     return task.give(points) or _pushed(task, points, sweeps)

@@ -1,0 +1,91 @@
+"""Flips that are enough: they lead to the mesh that is told, edges that must stay are left out, and users read them."""
+
+from dataclasses import replace
+
+import meshes
+import pytest
+import torch
+from exact import inverted
+
+import torchmesh as tm
+from torchmesh import EnoughFlips, enough_flips
+from torchmesh.untangling.enough_flips import FlipSearch
+
+
+def pushed_in() -> tm.MeshBatch:
+    """A square with a corner pushed in beyond the diagonal of its cell: a triangle of fixed vertices is inverted."""
+    mesh = meshes.grid(4, 4)
+    points = mesh.points.clone()
+    points[20] = torch.tensor([0.78125, 0.21875])
+    return mesh.with_points(points)
+
+
+def edges(mesh: tm.MeshBatch) -> set[frozenset[int]]:
+    return {frozenset((t[k - 1], t[k])) for t in mesh.triangles.tolist() for k in range(3)}
+
+
+def test_a_single_flip_is_enough_for_a_corner_that_is_pushed_in():
+    mesh = pushed_in()
+    found = enough_flips(mesh)
+    assert found is not None
+    assert found.edges == ((15, 21),)
+    assert found.replaced == 1
+    assert edges(found.mesh) == edges(mesh) - {frozenset((15, 21))} | {frozenset((16, 20))}
+    assert inverted(found.mesh) == 0
+    assert torch.equal(found.mesh.points[mesh.fixed], mesh.points[mesh.fixed])
+    _, report = tm.improve(mesh, tm.ImproveOptions(topology="keep"))
+    assert "1 flip is enough to make it possible: 15-21" in report.messages[0]
+    assert "1 flip is enough" in report.notes[0]
+
+
+def test_the_flips_lead_from_the_mesh_given_to_the_one_told():
+    """In their order, each of an edge that is there then."""
+    mesh = pushed_in()
+    points = mesh.points.clone()
+    points[4] = torch.tensor([0.21875, 0.78125])
+    mesh = mesh.with_points(points)
+    found = enough_flips(mesh)
+    assert found is not None
+    assert found.edges is not None
+    assert len(found.edges) == 2
+    assert inverted(found.mesh) == 0
+    faces = [tuple(t) for t in mesh.triangles.tolist()]
+    for a, b in found.edges:
+        pair = [t for t in faces if a in t and b in t]
+        c, d = (next(v for v in t if v not in (a, b)) for t in pair)
+        faces = [t for t in faces if t not in pair] + [(a, c, d), (b, c, d)]
+    assert {frozenset(t) for t in faces} == {frozenset(t) for t in found.mesh.triangles.tolist()}
+
+
+def test_edges_that_must_stay_are_not_flipped():
+    mesh = replace(pushed_in(), constrained_edges=torch.tensor([[15, 21]]))
+    assert enough_flips(mesh) is None
+    _, report = tm.improve(mesh, tm.ImproveOptions(topology="keep"))
+    assert "enough" not in report.messages[0]
+
+
+def test_a_valid_mesh_takes_no_flips_and_what_is_no_single_mesh_is_refused():
+    found = enough_flips(meshes.grid())
+    assert found is not None
+    assert found.edges == ()
+    assert found.replaced == 0
+    with pytest.raises(ValueError, match="takes one mesh of triangles, not 2"):
+        enough_flips(tm.join([meshes.grid(), meshes.grid()]))
+
+
+def test_without_trials_cavities_are_told():
+    found = enough_flips(pushed_in(), FlipSearch(rounds=0, trials=0))
+    assert found is not None
+    assert found.edges is None
+    assert found.replaced > 0
+    assert inverted(found.mesh) == 0
+    assert found.text().startswith(f"with {found.replaced} other edges it is possible")
+
+
+def test_words():
+    mesh = meshes.grid()
+    assert EnoughFlips(mesh, ((1, 2),), 1).text() == (
+        "1 flip is enough to make it possible: 1-2 (found by trial; fewer may do)"
+    )
+    text = EnoughFlips(mesh, ((1, 2), (3, 4), (5, 6)), 3).text(most=2)
+    assert text.startswith("3 flips are enough to make it possible: 1-2, 3-4 and 1 more")
