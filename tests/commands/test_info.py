@@ -77,5 +77,21 @@ def test_regions_of_quads_alone_are_counted(call, folder):
     assert (status, record["regions"]["count"]) == (0, 2)
 
 
+def test_folded_quads_count_as_inverted_and_the_exit_status_says_it(call, folder):
+    points = np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1.0]])
+    quads = np.array([[0, 1, 4, 3], [1, 2, 5, 4]])
+    points[4] = 1.5, -0.5
+    meshio.Mesh(points, [("quad", quads)]).write(folder / "folded.vtu")
+    status, record = told(call, "folded.vtu")
+    assert (status, record["inverted"]) == (1, 2)
+    points[4] = 1, 1
+    middles = [(points[a] + points[b]) / 2 for a, b in ((0, 1), (1, 4), (4, 3), (3, 0))]
+    middles[1] = np.array([-0.5, 0.5])  # the corners are right, and a side runs through the opposite one
+    rows = np.array([[0, 1, 4, 3, 6, 7, 8, 9]])
+    meshio.Mesh(np.concatenate([points, middles]), [("quad8", rows)]).write(folder / "folded8.vtu")
+    status, record = told(call, "folded8.vtu")
+    assert (status, record["inverted"]) == (1, 1)
+
+
 def test_layers_of_quads_are_found(call):
     assert "layer of 2 of quads at wall 'body', first height 0.5" in told(call, "channel.msh")[1]["layers"]

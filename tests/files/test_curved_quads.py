@@ -230,7 +230,7 @@ def test_curved_quads_are_not_split_and_it_is_said(tmp_path):
     triangles = np.concatenate([mesh.triangles.numpy(), mesh.quads[:1, :3].numpy(), mesh.quads[:1, [0, 2, 3]].numpy()])
     with pytest.warns(MeshWarning, match="belong to no triangle"):
         other = tm.MeshBatch.from_arrays(mesh.points, triangles, quads=mesh.quads[1:])
-    with pytest.raises(InvalidMeshError, match=r"1 quads would have to become two triangles.*mid-side nodes"):
+    with pytest.raises(InvalidMeshError, match="quads have mid-side nodes, and such quads do not become two triangles"):
         tm.write(tmp_path / "out.vtu", other, like=path)
 
 
@@ -276,3 +276,33 @@ def test_clean_refuses_edges_whose_two_nodes_lie_apart_and_curved_cells_that_a_v
     meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells).write(tmp_path / "b.vtu")
     with pytest.raises(InvalidMeshError, match="hangs in the side of a quad8 cell"):
         wiped(load(tmp_path / "b.vtu"), tmp_path / "b.vtu")
+
+
+def test_improve_refuses_to_split_curved_quads_before_any_work_and_proposes_it_to_nobody(tmp_path):
+    points, quads, six = ring()
+    points[np.isclose(np.hypot(*points.T), RADII[0])] += [0.7, 0]  # the hole leaves the mesh
+    path = save(tmp_path / "in.vtu", points, quads, six)
+    with pytest.raises(InvalidMeshError, match=r"in\.vtu: its quads have mid-side nodes"):
+        improve_series([open_mesh(path)], tm.ImproveOptions(quads="split"))
+    (done,) = improve_series([open_mesh(path)], tm.ImproveOptions())
+    assert "are inverted still" in done.message()
+    assert "split" not in done.message()
+
+
+def test_straight_quads_beside_six_node_triangles_are_split(tmp_path):
+    points, quads, six = ring(around=8)
+    flat = quads[:, :4]
+    fixed = np.zeros(len(points), np.int32)
+    fixed[flat] = 1
+    points[flat[0, 1]] *= 0.75  # a vertex between the layers comes too near to the hole for a quad
+    cells = [("quad", flat), ("triangle6", six)]
+    path = tmp_path / "in.vtu"
+    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, point_data={"fixed": fixed}).write(path)
+    with pytest.warns(MeshWarning, match="belong to no cell"):
+        given = open_mesh(path)
+    (done,) = improve_series([given], tm.ImproveOptions(quads="split"))
+    done.write(tmp_path / "out.vtu")
+    kinds = {b.type: len(b.data) for b in load(tmp_path / "out.vtu").mesh.cells}
+    split = int(done.report.split_quads.sum())
+    assert 0 < split < len(flat)
+    assert kinds == {"quad": len(flat) - split, "triangle6": len(six), "triangle": 2 * split}

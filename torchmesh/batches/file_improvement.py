@@ -15,10 +15,12 @@ from functools import partial
 
 import torch
 
+from ..errors import InvalidMeshError
 from ..files.curved import replaced
 from ..files.field_transfer import FieldChoice, FieldSummary, check_choice
 from ..files.mesh_files import held
 from ..files.placed import CurvedSummary, Placed
+from ..files.split_quads import UNDIVIDED
 from ..files.surface import HeightChoice, check_height
 from ..files.time_series import Series, SeriesDraft, draft_series, read_series
 from ..improving.options import ImproveOptions
@@ -121,6 +123,8 @@ def improve_series(
     """
     check_choice(fields)
     check_height(height)
+    if options.quads == "split":
+        _refuse_curved_quads(files)
     batch = join([file.batch for file in files])
     before = quality(batch)
     slides = options.slides or (options.at_interfaces == "free" and _curved(files))
@@ -153,6 +157,14 @@ def _explain(files: Sequence[Series], report: Report) -> None:
 def _curved(files: Sequence[Series]) -> bool:
     """Has any file triangles or quads with mid-side nodes?"""
     return any(source.middles is not None for file in files for source in file.sources)
+
+
+def _refuse_curved_quads(files: Sequence[Series]) -> None:
+    """Raises InvalidMeshError, naming the file, where quads have mid-side nodes."""
+    for file in files:
+        for source in file.first_sources():
+            if source.content.curved_quads.any():
+                raise InvalidMeshError(f"{source.path}: {UNDIVIDED}")
 
 
 def with_nodes(

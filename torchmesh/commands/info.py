@@ -90,7 +90,8 @@ def _record(given: "Series") -> dict[str, Any]:
         **_of_document(source.document),
         **steps,
         "extent": [space.amin(0).tolist(), space.amax(0).tolist()],
-        **{key: figures[key] for key in ("inverted", "imr_average", "imr_maximum")},
+        "inverted": figures["inverted"] + figures.get("inverted_quads", 0),
+        **{key: figures[key] for key in ("imr_average", "imr_maximum")},
         "regions": {
             "count": _regions(source),
             "told_by": str(content.told_by) or None,

@@ -107,6 +107,11 @@ class Content:
         return self.quad_rows[self.quad_first]
 
     @property
+    def curved_quads(self) -> np.ndarray:
+        """(Q,) bool: the quad has mid-side nodes."""
+        return np.asarray(self.quad_middles[self.quad_first, 0] >= 0)
+
+    @property
     def bound_by_regions(self) -> str:
         """In words, the interfaces whose edges no flip may remove; empty where there are none."""
         if not len(np.unique(self.region)) > 1:

@@ -18,6 +18,7 @@ from ..mesh.vertex_map import VertexMap
 from .correspondence import Correspondence
 from .placed import Placed
 from .source import Source
+from .split_quads import split_rows, with_split_quads
 
 
 def ends_of_curved(source: Source) -> torch.Tensor:
@@ -65,6 +66,8 @@ def replaced(
     before      the mesh with the positions that the nodes had; None: that of the file
     mends       are nodes inside moved where a triangle would be inverted
     """
+    if len(mesh.quads) < len(source.mesh.quads):
+        source = with_split_quads(source, split_rows(source, mesh, vertex_map))
     middles = source.middles
     assert middles is not None
     before = source.mesh if before is None else before

@@ -77,6 +77,8 @@ class Source:
             lines = "lines of the file" if self.content.bound_by_lines else ""
             origin = " and ".join(filter(None, [self.content.bound_by_regions, lines]))
             more = f" (constrained edges are {origin})" if origin else ""
+        if self.content.curved_quads.any():
+            text = text.replace(": with quads='split' (--quads split) such quads become two triangles each", "")
         text = text if self.surface is not None else told_in_space(self.mesh, text)
         return with_own_numbers(text, self.document) + more
 

@@ -14,6 +14,11 @@ from .content import Content
 from .fields import triangle_regions
 from .source import Source
 
+UNDIVIDED = (
+    "its quads have mid-side nodes, and such quads do not become two triangles each: without quads='split' (--quads "
+    "split) they stay quads, and with elements of first order they can be split"
+)
+
 
 def split_rows(like: Source, mesh: MeshBatch, vertex_map: VertexMap | None = None) -> torch.Tensor:
     """(Q,) bool, the quads of `like` that `mesh` has no more.
@@ -36,11 +41,8 @@ def with_split_quads(like: Source, gone: torch.Tensor) -> Source:
     The triangles follow the others, in the order of the quads, as `mesh.quads.split_quads` has them; both have the
     cell data and are in the cell sets of their quad.
     """
-    if (like.content.quad_middles[like.content.quad_first][gone.numpy()] >= 0).any():
-        raise InvalidMeshError(
-            f"{like.path}: {int(gone.sum())} quads would have to become two triangles each, and those with mid-side "
-            "nodes cannot; without quads 'split' they stay, and with elements of first order they can be split"
-        )
+    if like.content.curved_quads[gone.numpy()].any():
+        raise InvalidMeshError(f"{like.path}: {UNDIVIDED}")
     other = better_diagonals(like.mesh, gone)
     after = split_quads(like.mesh, gone, other)
     diagonal = torch.zeros_like(gone).index_put((gone.nonzero().squeeze(1),), other)
