@@ -9,6 +9,14 @@ import torch
 from torchmesh.kernels import library
 
 
+@pytest.fixture(autouse=True)
+def read_anew():
+    """The environment is read once in a process, so these tests make it be read again."""
+    library.asked_for.cache_clear()
+    yield
+    library.asked_for.cache_clear()
+
+
 @pytest.mark.parametrize("choice", ["torch", "compiled"])
 def test_the_environment_chooses(monkeypatch, choice):
     monkeypatch.setenv("TORCHMESH_KERNELS", choice)
@@ -26,6 +34,7 @@ def test_without_the_library_torch_works_unless_it_is_asked_for(monkeypatch):
     monkeypatch.delenv("TORCHMESH_KERNELS", raising=False)
     assert library.kernels_in_use() == "torch"
     monkeypatch.setenv("TORCHMESH_KERNELS", "compiled")
+    library.asked_for.cache_clear()
     with pytest.raises(RuntimeError, match="not built when torchmesh was installed"):
         library.library()
 

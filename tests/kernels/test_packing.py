@@ -8,6 +8,7 @@ from both_loops import both
 from meshes import delaunay, disc, grid, jittered, ring
 
 from torchmesh import join
+from torchmesh.mesh.detached import without_autograd
 from torchmesh.mesh.means import vertex_size
 from torchmesh.mesh.units import centre_and_unit
 from torchmesh.optimising.objective import pack
@@ -40,3 +41,22 @@ def test_sizes_centres_and_units_have_the_same_bits():
             assert torch.equal(expected, got)
         expected, got = both(lambda b=batch: vertex_size(b))
         torch.testing.assert_close(got, expected, rtol=1e-15, atol=0)  # torch does not always round square roots
+
+
+@pytest.mark.parametrize("displacements", [False, True])
+def test_positions_and_sizes_are_packed_and_unpacked_with_the_same_bits(generator, displacements):
+    for batch in batches():
+        packing = pack(batch.points, batch.triangles, ~batch.fixed, batch.point_offsets, batch.triangle_offsets,
+                       displacements)  # fmt: skip
+        unknowns = packing.unknowns + 1e-3 * torch.rand(packing.unknowns.shape, generator=generator).to(
+            packing.unknowns
+        )
+        unknowns[::3] = packing.unknowns[::3]
+        size = torch.rand(len(batch.points), generator=generator, dtype=torch.float64)
+
+        def run(packing=packing, unknowns=unknowns, batch=batch, size=size):
+            return packing.unpack(unknowns, batch.points), packing.spread_vertices(size)
+
+        for expected, got in zip(*both(without_autograd(run)), strict=True):
+            assert expected.dtype == got.dtype
+            assert torch.equal(expected, got)

@@ -18,7 +18,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import upright
 from ..mesh.quads import quads_as_halves
-from ..mesh.ragged import segment_any
+from ..mesh.ragged import segment_any, true_rows
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from .fixed_quads import fixed_quads, is_half
 from .meetings import crossings, duplicates, overlaps, wrong_touchings
@@ -91,7 +91,7 @@ def _proved(batch: MeshBatch, known: set[int]) -> list[Problem]:
 
     problems = []
     tangled = segment_any(~upright(batch), batch.triangle_offsets)
-    for b in tangled.nonzero().squeeze(1).tolist():
+    for b in true_rows(tangled).tolist():
         proof = None if b in known else vertex_without_place(batch[b])
         if proof is not None:
             v = proof.vertex
@@ -167,12 +167,12 @@ def _without_unfit(
 ) -> list[Problem]:
     """The problems where the meshes `unfit` (B,) bool have positions that one cannot compute with."""
     problems = []
-    for b in unfit.nonzero().squeeze(1).tolist():
+    for b in true_rows(unfit).tolist():
         text, row = what_is_unfit(batch, b)
         x, y = batch.points[int(batch.point_offsets[b]) + row].tolist()
         problems.append(Problem(ProblemKind.NOT_FINITE, text, b, (row,), (x, y)))
     if not bool(unfit.all()):
-        meshes = (~unfit).nonzero().squeeze(1).tolist()
+        meshes = true_rows(~unfit).tolist()
         found = diagnose(batch.select(~unfit), topology, most, interfaces=interfaces)
         problems += [replace(problem, mesh=meshes[problem.mesh]) for problem in found]
     return sorted(problems, key=lambda problem: problem.mesh)

@@ -18,6 +18,7 @@ from torch import Tensor
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.predicates import orientation
+from ..mesh.ragged import true_rows
 
 
 def turns_too_little(batch: MeshBatch) -> Tensor:
@@ -29,7 +30,7 @@ def turns_too_little(batch: MeshBatch) -> Tensor:
     triangles, twin = batch.triangles, batch.twin
     label = connectivity.triangle_components(triangles, twin)
     count = int(label.max()) + 1 if len(label) else 0
-    here = (twin < 0).nonzero().squeeze(1)
+    here = true_rows(twin < 0)
     turn, clear = _turns(batch, here, _onward(twin, here))
     owner = label[here // 3]
     total = turn.new_zeros(count).index_add_(0, owner, turn) / (2 * math.pi)
@@ -37,7 +38,7 @@ def turns_too_little(batch: MeshBatch) -> Tensor:
     known[owner[~clear]] = False
     few = (total.round() < _euler_numbers(batch, label, owner, count)) & known
     found = torch.zeros(len(batch), dtype=torch.bool, device=label.device)
-    faces = few[label].nonzero().squeeze(1)
+    faces = true_rows(few[label])
     found[torch.bucketize(faces, batch.triangle_offsets[1:], right=True)] = True
     return found
 
@@ -46,7 +47,7 @@ def _onward(twin: Tensor, here: Tensor) -> Tensor:
     """(E,) the boundary half-edge that follows each of the boundary half-edges `here` (E,) round the same fan."""
     onward = connectivity.next_in_triangle(here)
     while True:
-        inner = (twin[onward] >= 0).nonzero().squeeze(1)
+        inner = true_rows(twin[onward] >= 0)
         if not len(inner):
             return onward
         onward[inner] = connectivity.next_in_triangle(twin[onward[inner]])

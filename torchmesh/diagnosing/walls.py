@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
+from ..mesh.ragged import true_rows
 from ..triangulating.arrays import signs
 from ..triangulating.touching import PlaneBoundary, plane_boundary
 
@@ -76,7 +77,7 @@ class Walls:
         wall = connectivity.half_edges_on(triangles, constraints, count) & inner
         parted = wall | (held[tails] & held[heads] & inner) if keep else wall
         region = connectivity.triangle_components(triangles, twin, parted) if bool(parted.any()) else label
-        h = (~inner | parted).nonzero().squeeze(1)
+        h = true_rows(~inner | parted)
         across = twin[h]
         kind = torch.where(across < 0, BOUNDARY, torch.where(wall[h], CONSTRAINT, HELD))
         used = np.zeros(count, bool)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..mesh.ragged import true_rows
 from ..mesh.triangle import Corners
 from ..optimising.jacobian import EdgeMap
 from .rules import LEAST_GAIN, Quads, finite_energy, new_pair, new_signs, old_pair, old_signs
@@ -32,7 +33,7 @@ class MetricRule:
             before = _energy(uws, mu + mw + ms) + _energy(wur, mw + mu + mr)
             after = _energy(urs, mu + mr + ms) + _energy(rws, mr + mw + ms)
             wanted = before - after > LEAST_GAIN * before
-            rows = wanted.nonzero().squeeze(1)
+            rows = true_rows(wanted)
             few = Quads(*(v[rows] for v in q))
             wanted[rows] = torch.stack(old_signs(few) + new_signs(few)).amin(0) > 0
             return wanted, before - after

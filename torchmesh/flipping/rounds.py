@@ -17,9 +17,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..kernels.flips import KIM, METRIC, SAFE, SHAPE, flip_in_rounds
+from ..kernels.flips import KIM, METRIC, SAFE, SHAPE, edges_of, flip_in_rounds
 from ..kernels.library import library_for
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from ..mesh.ragged import take, true_rows
 from .metric_rule import MetricRule
 from .rules import Quads, Rule, VertexRule, kim_rule, safe_rule, shape_rule
 
@@ -47,7 +48,7 @@ def edge_exists(vertex: Tensor, twin: Tensor, start: Tensor, target: Tensor) -> 
         found[rows[hit]] = True
         onward = gather(twin, 0, behind)
         ends.append(rows[~hit & (onward < 0)])
-        going = (~hit & (onward >= 0) & (onward != gather(start, 0, rows))).nonzero().squeeze(1)
+        going = true_rows(~hit & (onward >= 0) & (onward != gather(start, 0, rows)))
         rows, here, goal = gather(rows, 0, going), gather(onward, 0, going), gather(goal, 0, going)
     # A fan that ended at the boundary is followed from the start in the other direction, too.
     rows = torch.cat(ends) if ends else rows
@@ -128,7 +129,7 @@ def flip_rounds(
     known = _compiled(rule, twin)
     if known is not None:
         half_edges = triangles.reshape(-1).clone(), twin.clone(), locked.clone()
-        asked = None if around is None else _each_edge_once(_half_edges_of(around), twin)
+        asked = None if around is None else edges_of(around, twin)
         xy = points[:, 0].contiguous(), points[:, 1].contiguous()
         flips = flip_in_rounds(xy, half_edges, asked, *known, once, max_rounds)
         return half_edges[0].reshape(-1, 3), half_edges[1], flips
@@ -139,11 +140,11 @@ def flip_rounds(
     best = torch.full((len(triangles),), len(edges.vertex), dtype=torch.int64, device=triangles.device)
     log = []
     if around is None:
-        queue = (edges.twin > edges.moved).nonzero().squeeze(1)
+        queue = true_rows(edges.twin > edges.moved)
     else:
         queue = _each_edge_once(_half_edges_of(around), edges.twin)
     for _ in range(max_rounds):
-        queue = queue[~edges.locked.index_select(0, queue)]
+        queue = queue[~take(edges.locked, queue)]
         h, rank, barred = _eligible(edges, question, queue)
         if not len(h):
             break
@@ -183,13 +184,13 @@ def _half_edges_of(triangles: Tensor) -> Tensor:
 
 def _each_edge_once(h: Tensor, twin: Tensor) -> Tensor:
     """The interior edges among half-edges h, each once, as its lower half-edge, ascending."""
-    other = twin.index_select(0, h)
+    other = take(twin, h)
     lower = torch.minimum(h, other)
     if _SPARSE * len(h) < len(twin):
         return lower[other >= 0].unique()
     marks = torch.zeros(len(twin) + 1, dtype=torch.bool, device=h.device)
     marks.index_fill_(0, torch.where(other >= 0, lower, len(twin)), True)
-    return marks[:-1].nonzero().squeeze(1)
+    return true_rows(marks[:-1])
 
 
 def _eligible(edges: _HalfEdges, question: _Question, queue: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -235,9 +236,9 @@ def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:
     best  (T,) working space, filled with a number above every rank, and left so
     """
     order = torch.arange(len(h), device=h.device)
-    faces = torch.cat([h, twin.index_select(0, h)]).div_(3, rounding_mode="floor")
+    faces = torch.cat([h, take(twin, h)]).div_(3, rounding_mode="floor")
     best.scatter_reduce_(0, faces, order.repeat(2), "amin")
-    one, two = best.index_select(0, faces).chunk(2)
+    one, two = take(best, faces).chunk(2)
     best.index_fill_(0, faces, len(twin))
     return (one == order) & (two == order)
 
@@ -245,7 +246,7 @@ def _first_in_both(h: Tensor, twin: Tensor, best: Tensor) -> Tensor:
 def _first_of_its_new_edge(edges: _HalfEdges, h: Tensor, chosen: Tensor) -> Tensor:
     """(N,) bool: false where a better-ranked chosen flip makes the same new edge."""
     gather = torch.index_select
-    rows = chosen.nonzero().squeeze(1)
+    rows = true_rows(chosen)
     few = gather(h, 0, rows)
     s, r = edges.apexes(few, gather(edges.twin, 0, few))
     keys, order = torch.sort(torch.minimum(s, r) * (int(edges.vertex.max()) + 1) + torch.maximum(s, r), stable=True)
@@ -271,7 +272,7 @@ def _flip(edges: _HalfEdges, both: Tensor, once: bool) -> Tensor:
     apex, across, lock = (gather(v, 0, at).roll(count) for v, at in ((vertex, last), (twin, onward), (locked, onward)))
     vertex.scatter_(0, onward, apex)
     moved.scatter_(0, onward, both.roll(count))
-    inner = (across >= 0).nonzero().squeeze(1)
+    inner = true_rows(across >= 0)
     slot, there = gather(both, 0, inner), gather(moved, 0, gather(across, 0, inner))
     twin.index_fill_(0, both, -1)
     twin.scatter_(0, slot, there).scatter_(0, there, slot)

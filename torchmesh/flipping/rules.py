@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.predicates import incircle, orientation
+from ..mesh.ragged import take, true_rows
 from ..mesh.triangle import Corners, inverse_mean_ratio
 
 # A flip must lower the energy of two triangles by more than rounding can: `shape_rule` compares the gain with this
@@ -89,7 +90,7 @@ def kim_rule(q: Quads) -> tuple[Tensor, Tensor]:
     total = opposite_angle_rank(q)
     # Rounding may have lowered the rank by less than 1e-12; the exact signs below decide.
     eligible = total > 2 - 1e-12
-    rows = eligible.nonzero().squeeze(1)
+    rows = true_rows(eligible)
     few = _some(q, rows)
     left, right = old_signs(few)
     upright = (left > 0) & (right > 0)
@@ -113,7 +114,7 @@ def safe_rule(q: Quads) -> tuple[Tensor, Tensor]:
     upright = (left > 0) & (right > 0)
     rank, rounding = _cotangent_deficit(q)
     # The deficit and the in-circle determinant have the same sign: far from zero the deficit replaces the exact sign.
-    rows = (~upright | (rank > -rounding)).nonzero().squeeze(1)
+    rows = true_rows(~upright | (rank > -rounding))
     few = _some(q, rows)
     delaunay = _inside_circle(few)
     signs_after = new_signs(few)
@@ -156,10 +157,10 @@ def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
     Only edges that are nearly not Delaunay are asked about.
     """
     near = _cotangent_deficit(q)[0] > _NEARLY_NOT_DELAUNAY
-    rows = near.nonzero().squeeze(1)
+    rows = true_rows(near)
     few = _some(q, rows)
     gain = _pair_energy(old_pair(few)) - _pair_energy(new_pair(few))
-    wins = (gain > LEAST_GAIN).nonzero().squeeze(1)
+    wins = true_rows(gain > LEAST_GAIN)
     fewer = _some(few, wins)
     legal = _signs(fewer, "uws", "wur", "urs", "rws").amin(0) > 0
     eligible = torch.zeros_like(near)
@@ -170,7 +171,7 @@ def shape_rule(q: Quads) -> tuple[Tensor, Tensor]:
 
 
 def _some(q: Quads, rows: Tensor) -> Quads:
-    return Quads(*(v.index_select(0, rows) for v in q))
+    return Quads(*(take(v, rows) for v in q))
 
 
 def _inside_circle(q: Quads) -> Tensor:

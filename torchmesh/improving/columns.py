@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.measure import Quality
+from ..mesh.ragged import put_rows, take, true_rows
 from ..remeshing.sizing import SizeConformity
 
 # The columns of `Quality` that have a row a triangle; the others have one a mesh.
@@ -16,25 +17,24 @@ _OF_TRIANGLES = ("area", "inverse_mean_ratio", "upright")
 _OF_QUADS = ("quad_area", "quad_inverse_mean_ratio", "quad_upright")
 
 
-def put_rows(values: Tensor, at: Tensor, part: Tensor) -> Tensor:
+def put_where(values: Tensor, at: Tensor, part: Tensor) -> Tensor:
     """`values` (N, ...) with the rows `at` (N,) bool replaced by `part`."""
-    return values.index_copy(0, at.nonzero().squeeze(1), part)
+    return put_rows(values, true_rows(at), part)
 
 
 def select_quality(q: Quality, at: Tensor, triangles: Tensor) -> Quality:
     """The quality of the meshes `at` (B,) bool, to which `triangles` (T,) bool belong."""
-    rows = triangles.nonzero().squeeze(1)
+    rows = true_rows(triangles)
     columns = {f.name: getattr(q, f.name) for f in fields(q)}
-    some = {
-        n: v.index_select(0, rows) if n in _OF_TRIANGLES else v[at] for n, v in columns.items() if n not in _OF_QUADS
-    }
+    some = {n: take(v, rows) if n in _OF_TRIANGLES else v[at] for n, v in columns.items() if n not in _OF_QUADS}
     return Quality(**some, **{name: columns[name] for name in _OF_QUADS})
 
 
 def put_quality(q: Quality, at: Tensor, triangles: Tensor, part: Quality) -> Quality:
     """`q` with the rows of the meshes `at` (B,) bool and of their `triangles` (T,) bool replaced by those of `part`."""
-    masks = {f.name: triangles if f.name in _OF_TRIANGLES else at for f in fields(q) if f.name not in _OF_QUADS}
-    whole = {name: put_rows(getattr(q, name), mask, getattr(part, name)) for name, mask in masks.items()}
+    meshes, faces = true_rows(at), true_rows(triangles)
+    rows = {f.name: faces if f.name in _OF_TRIANGLES else meshes for f in fields(q) if f.name not in _OF_QUADS}
+    whole = {name: put_rows(getattr(q, name), some, getattr(part, name)) for name, some in rows.items()}
     return Quality(**whole, **{name: getattr(q, name) for name in _OF_QUADS})
 
 
@@ -51,7 +51,7 @@ def put_conformity(found: SizeConformity | None, at: Tensor, part: SizeConformit
         nothing = part.mean.new_full(at.shape, torch.nan)
         found = SizeConformity(nothing, nothing, nothing)
     names = [f.name for f in fields(found)]
-    return SizeConformity(*(put_rows(getattr(found, name), at, getattr(part, name)) for name in names))
+    return SizeConformity(*(put_where(getattr(found, name), at, getattr(part, name)) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,4 +77,4 @@ class Edits:
 
     def put(self, at: Tensor, part: "Edits") -> "Edits":
         """These, with those of the meshes `at` (B,) bool replaced by `part`."""
-        return Edits(*(put_rows(getattr(self, f.name), at, getattr(part, f.name)) for f in fields(self)))
+        return Edits(*(put_where(getattr(self, f.name), at, getattr(part, f.name)) for f in fields(self)))

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import corners_of, touching
-from ..mesh.ragged import counts_from_offsets, segment_any, segment_count, segment_max, spread
+from ..mesh.ragged import counts_from_offsets, put_rows, segment_any, segment_count, segment_max, spread
 from ..optimising.metric_field import MetricField
 from ..status import Status
 from .columns import Edits
@@ -158,8 +158,8 @@ class Mending:
         """With new `tries` of some triangles (N,), and closed but for those of which `more` (N,) bool is true."""
         return replace(
             self,
-            tries=self.tries.index_copy(0, triangles, tries),
-            closed=self.closed.index_copy(0, triangles, ~more),
+            tries=put_rows(self.tries, triangles, tries),
+            closed=put_rows(self.closed, triangles, ~more),
         )
 
     def _put(self, parts: Parts, after: State, at: Tensor, tries: Tensor, more: Tensor) -> "Mending":

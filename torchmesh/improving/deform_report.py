@@ -6,6 +6,7 @@ from typing import Any
 from torch import Tensor
 
 from ..errors import ConvergenceError
+from ..mesh.ragged import true_rows
 from ..status import Status
 from .report import Report
 from .trail import Piece
@@ -46,7 +47,7 @@ class DeformReport:
 
     def check(self) -> "DeformReport":
         """Raise ConvergenceError, which names the meshes, unless every mesh did the whole motion and is valid."""
-        failed = (self.status != Status.VALID).nonzero().squeeze(1).tolist()
+        failed = true_rows(self.status != Status.VALID).tolist()
         if failed:
             shown = "; ".join(f"mesh {b}: {self.messages[b]}" for b in failed[:10])
             more = f"; and {len(failed) - 10} more" if len(failed) > 10 else ""

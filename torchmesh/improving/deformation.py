@@ -23,7 +23,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import released
 from ..mesh.measure import quality
 from ..mesh.quads import halved, has_quads, whole
-from ..mesh.ragged import spread
+from ..mesh.ragged import spread, true_rows
 from ..mesh.regions import region_areas
 from ..mesh.validation import fit_positions
 from ..mesh.vertex_map import VertexMap
@@ -163,9 +163,9 @@ def _deform(
     if bool(unfit.any()):
         after = put(after, unfit, batch.select(unfit))
         report = replace(report, report=replace(report.report, quality=quality(after)))
-        for b in unfit.nonzero().squeeze(1).tolist():
+        for b in true_rows(unfit).tolist():
             report.messages[b] = what_is_unfit_goal(batch, asked.points, b)
-    for b in let_go.nonzero().squeeze(1).tolist():
+    for b in true_rows(let_go).tolist():
         report.messages[b] += "; its layers left no way, and were not kept"
     after = _as_free(after, task.batch, report.report.vertex_map)
     after = after if hold is None else released(after, given, report.report.vertex_map)
@@ -304,7 +304,7 @@ def _arrived(
         free = replace(task.batch, points=mesh.points, triangles=mesh.triangles)
         report = replace(report, regions=region_areas(free, after))
     status = torch.where(warped & report.valid, int(Status.VALID), status)
-    for b in warped.nonzero().squeeze(1).tolist():
+    for b in true_rows(warped).tolist():
         end = "untangled at the goal" if bool(report.valid[b]) else f"not untangled there: {report.messages[b]}"
         messages[b] = f"{messages[b]}; {end}"
     flips = motion.flips + report.flipped
@@ -351,7 +351,7 @@ def _trails(motion: Motion, given: MeshBatch, after: MeshBatch) -> list[list[Pie
 def _explained(motion: Motion, stuck: Tensor, goal: MeshBatch) -> tuple[Tensor, list[str]]:
     """The status of each mesh (B,), with INFEASIBLE where no valid mesh exists at the goal, and why it ended."""
     status, messages = motion.status.clone(), [f"arrived in {n} steps" for n in motion.steps.tolist()]
-    meshes = stuck.nonzero().squeeze(1).tolist()
+    meshes = true_rows(stuck).tolist()
     if not meshes:
         return status, messages
     found: dict[int, str] = {}

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch, constraint_owner
 from ..mesh.connectivity import boundary_edges
-from ..mesh.ragged import counts_from_offsets, segment_any
+from ..mesh.ragged import counts_from_offsets, segment_any, true_rows
 from ..status import Status
 from .options import ImproveOptions
 from .runner import Runner, Work
@@ -162,7 +162,7 @@ def _stuck_by_interfaces(state: State, hopeless: Tensor, may_change: Literal["ke
     from ..diagnosing.diagnosis import diagnose
 
     has = torch.zeros_like(hopeless).index_fill_(0, constraint_owner(state.mesh), True)
-    rows = (hopeless & has).nonzero().squeeze(1).tolist()
+    rows = true_rows(hopeless & has).tolist()
     if state.origin.interfaces == "free" or not rows:
         return []
     left = {problem.mesh for problem in diagnose(state.mesh.select(hopeless & has), may_change, interfaces="free")}

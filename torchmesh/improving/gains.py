@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.measure import shapes
-from ..mesh.ragged import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum
+from ..mesh.ragged import counts_from_offsets, segment_count, segment_max, segment_min, segment_sum, true_rows
 from ..optimising.moves import Monitor
 from ..optimising.targets import target_quality
 from ..smoothing.polishing import PolishOptions, bad_triangles
@@ -28,7 +28,7 @@ def without_little_gains(state: State, run: Runner, o: ImproveOptions) -> State:
         return state
     begun, done = state.select(at), state.select(at)
     little = ~gained(begun.at(begun.given), done, o.least_gain, o.polish or PolishOptions())
-    return taken_back(state, run, at.index_put((at.nonzero().squeeze(1),), little))
+    return taken_back(state, run, at.index_put((true_rows(at),), little))
 
 
 def where_it_pays(stage: Stage, least: LeastGain, polish: PolishOptions) -> Stage:

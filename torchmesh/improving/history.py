@@ -19,7 +19,7 @@ from ..mesh.connectivity import boundary_edges, keys_of
 from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import holding
 from ..mesh.measure import quality
-from ..mesh.ragged import segment_any
+from ..mesh.ragged import segment_any, true_rows
 from ..smoothing.polishing import PolishOptions
 from ..warping.femwarp import femwarp
 from .deform_options import DeformOptions
@@ -60,7 +60,7 @@ def towards_reference(mesh: MeshBatch, reference: MeshBatch, at: Tensor, options
     good = ~_beyond(found, bound or Bound(polish.angle, polish.ratio))
     if not bool(good.any()):
         return mesh
-    taken = at.index_put((at.nonzero().squeeze(1),), good)
+    taken = at.index_put((true_rows(at),), good)
     return put(mesh, taken, found.select(good))
 
 

@@ -19,7 +19,7 @@ from ..layering.layers import Layers, find_layers
 from ..mesh.batch import MeshBatch, triangle_mesh, vertex_mesh
 from ..mesh.connectivity import edge_components, keys_of
 from ..mesh.measure import upright
-from ..mesh.ragged import rows_of
+from ..mesh.ragged import put_rows, rows_of
 from .given import Given
 from .runner import Job, Log
 from .state import State
@@ -107,7 +107,7 @@ def _new_rows(at: Tensor, offsets: Tensor) -> Tensor:
     """(N,) int64 the row that each row of the meshes `at` (B,) bool has once the other meshes are gone; 0 for those."""
     new = torch.zeros(int(offsets[-1]), dtype=torch.int64, device=at.device)
     rows = rows_of(at, offsets)
-    return new.index_copy(0, rows, torch.arange(len(rows), device=at.device))
+    return put_rows(new, rows, torch.arange(len(rows), device=at.device))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ def _origin(origin: Given, rows: Tensor, points: Tensor, held: Tensor, with_wall
     all_held[rows], layers[rows] = held, with_walls
     mesh = replace(
         mesh,
-        points=mesh.points.index_copy(0, rows, points.to(mesh.points.dtype)),
+        points=put_rows(mesh.points, rows, points.to(mesh.points.dtype)),
         fixed=mesh.fixed | all_held,
         constrained_edges=torch.cat([mesh.constrained_edges, rows[edges]]),
     )

@@ -21,7 +21,7 @@ from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, constraint_owner, put
 from ..mesh.connectivity import keys_of
 from ..mesh.measure import Quality
-from ..mesh.ragged import counts_from_offsets, owner_of, segment_max, segment_sum, spread
+from ..mesh.ragged import counts_from_offsets, owner_of, put_rows, segment_max, segment_sum, spread, true_rows
 from ..mesh.submesh import Submesh, submesh
 from ..remeshing.criteria import crowded
 from ..remeshing.options import RemeshOptions
@@ -53,7 +53,7 @@ def on_submeshes(job: Job, options: ImproveOptions) -> Job:
             return whole
         begun = state.select(again)
         log.mark("whole", whole.put(again, begun), again, kept=False)
-        view = log.view(again.nonzero().squeeze(1), lambda mesh: put(whole.mesh, again, mesh))
+        view = log.view(true_rows(again), lambda mesh: put(whole.mesh, again, mesh))
         note = dict.fromkeys(range(len(begun)), "; a submesh round the damage was tried in vain")
         return whole.put(again, job(begun, view).noted(note))
 
@@ -90,14 +90,14 @@ class Submeshes:
         offsets = self.whole.triangle_offsets
         columns = ("area", "inverse_mean_ratio", "upright")
         area, ratio, upright = (
-            getattr(state.quality, name).index_copy(0, self.taken.triangles, getattr(part.quality, name))
+            put_rows(getattr(state.quality, name), self.taken.triangles, getattr(part.quality, name))
             for name in columns
         )
         mean = segment_sum(ratio, offsets) / counts_from_offsets(offsets)
         taken, counts = (counts_from_offsets(mesh.triangle_offsets).tolist() for mesh in (self.taken.mesh, self.whole))
         notes = {
             b: f"; only a submesh, {taken[b]:,} of {counts[b]:,} triangles round the damage, was worked on"
-            for b in self.cut.nonzero().squeeze(1).tolist()
+            for b in true_rows(self.cut).tolist()
         }
         return replace(
             state,
@@ -150,7 +150,7 @@ def damaged_submeshes(batch: MeshBatch, q: Quality, options: LocalRepair) -> Sub
     started = time.perf_counter()
     large = counts_from_offsets(batch.triangle_offsets) > options.large
     found = {}
-    for b in (large & (q.inverted > 0)).nonzero().squeeze(1).tolist():
+    for b in true_rows(large & (q.inverted > 0)).tolist():
         near = _round_damage(batch, q, b, options)
         if near is not None:
             found[b] = near
@@ -166,7 +166,7 @@ def _round_damage(
     """
     v, t = (slice(*offsets[b : b + 2].tolist()) for offsets in (batch.point_offsets, batch.triangle_offsets))
     count = t.stop - t.start
-    bad = (~q.upright[t] | (q.inverse_mean_ratio[t] > options.poor)).nonzero().squeeze(1)
+    bad = true_rows(~q.upright[t] | (q.inverse_mean_ratio[t] > options.poor))
     if len(bad) > options.share * count:
         return None
     faces = batch.triangles[t] - v.start if v.start else batch.triangles[t]

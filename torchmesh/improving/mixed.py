@@ -31,7 +31,7 @@ from ..mesh.quads import (
     triangles_alone,
     whole,
 )
-from ..mesh.ragged import counts_from_offsets, segment_count
+from ..mesh.ragged import counts_from_offsets, segment_count, true_rows
 from .options import ImproveOptions
 from .report import Report
 
@@ -57,7 +57,7 @@ def improve_mixed(work: Work, batch: MeshBatch, options: ImproveOptions, **watch
             break
         if isinstance(options.smooth.targets, Tensor):
             raise ValueError("ImproveOptions.quads='split' changes the elements that smooth.targets are matrices of")
-        chosen[(~chosen).nonzero().squeeze(1)[in_the_way]] = True
+        chosen[true_rows(~chosen)[in_the_way]] = True
         like = batch if options.reference is None else options.reference
         other = better_diagonals(like, chosen)
         given = split_quads(batch, chosen, other)
@@ -166,7 +166,7 @@ def _messages(given: MeshBatch, report: Report, chosen: Tensor, options: Improve
 
 def _rows_text(rows: Tensor) -> str:
     """How many quads (Q,) bool are marked, and the first of their rows."""
-    found = rows.nonzero().squeeze(1).tolist()
+    found = true_rows(rows).tolist()
     more = ", ..." if len(found) > _TOLD else ""
     many = "s" * (len(found) > 1)
     return f"{len(found):,} quad{many} (row{many} {', '.join(map(str, found[:_TOLD]))}{more})"

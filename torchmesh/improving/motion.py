@@ -16,7 +16,7 @@ from ..mesh.batch import MeshBatch, put
 from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import holding
 from ..mesh.measure import quality, upright
-from ..mesh.ragged import segment_any, segment_min, spread
+from ..mesh.ragged import put_rows, segment_any, segment_min, spread, true_rows
 from ..mesh.rounding import rounded, unrounded
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import as_targets, narrow, narrow_quads
@@ -82,15 +82,15 @@ class Motion:
 
     def put(self, at: Tensor, part: "Motion") -> "Motion":
         """This motion with the meshes `at` (B,) bool replaced by `part`, which begins where they began."""
-        rows = at.nonzero().squeeze(1)
+        rows = true_rows(at)
         names = ("status", "reached", "length", "steps", "refused", "flips", "blocked")
-        columns = {name: getattr(self, name).index_copy(0, rows, getattr(part, name)) for name in names}
+        columns = {name: put_rows(getattr(self, name), rows, getattr(part, name)) for name in names}
         nothing = torch.full_like(self.reached, torch.nan)
         ends = []
         for i in range(max(len(self.ends), len(part.ends))):
             mine = self.ends[i] if i < len(self.ends) else nothing
             theirs = part.ends[i] if i < len(part.ends) else nothing[rows]
-            ends.append(mine.index_copy(0, rows, theirs))
+            ends.append(put_rows(mine, rows, theirs))
         pieces = None
         if self.pieces is not None and part.pieces is not None:
             new = dict(zip(rows.tolist(), part.pieces, strict=True))
@@ -176,7 +176,7 @@ def _blocked(motion: Motion, trial: _Trial, options: DeformOptions) -> Tensor:
         return motion.blocked
     blocked, part = motion.blocked.clone(), trial.before
     offsets = part.triangle_offsets.tolist()
-    for i, b in enumerate(trial.going.nonzero().squeeze(1).tolist()):
+    for i, b in enumerate(true_rows(trial.going).tolist()):
         if bool(near[b]):
             row = offsets[i] + int(trial.flat[offsets[i] : offsets[i + 1]].argmin())
             blocked[b] = part.points[part.triangles[row]].to(torch.float64).mean(0)
@@ -196,12 +196,12 @@ def _stepped(motion: Motion, trial: _Trial, options: DeformOptions) -> Motion:
         begun = part.select(between)
         # Which edges flip must not hang on rounding errors.
         some = start = rounded(begun, torch.ones(len(begun), dtype=torch.bool, device=between.device))
-        whole = taken.index_put((taken.nonzero().squeeze(1),), between)
+        whole = taken.index_put((true_rows(taken),), between)
         targets = narrow(as_targets(options.targets), motion.mesh, whole)
         if options.may_flip:
             metric = targets if isinstance(targets, MetricField) else None
             some, info = flip_to_delaunay(some, FlipOptions(rule="shape"), metric=metric)
-            flips = flips.index_add(0, whole.nonzero().squeeze(1), info.flips)
+            flips = flips.index_add(0, true_rows(whole), info.flips)
         shapes = narrow_quads(options.smooth.quad_targets, motion.mesh, whole)
         done = smooth(some, replace(options.smooth, targets=targets, quad_targets=shapes))[0]
         done = unrounded(done, start, begun, holding(begun).fixed)
@@ -226,7 +226,7 @@ def _longer_trails(
         return None
     trails = list(motion.pieces)
     before = trial.before.select(trial.taken[trial.going]).split()
-    rows = trial.taken.nonzero().squeeze(1).tolist()
+    rows = true_rows(trial.taken).tolist()
     for b, old, there, then in zip(rows, before, moved.split(), after.split(), strict=True):
         step = Piece(old, there, float(motion.reached[b]), float(trial.goal[b]))
         trails[b] = longer(trails[b], step, then)

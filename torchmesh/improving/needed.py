@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import Quality, smallest_angles
-from ..mesh.ragged import segment_any
+from ..mesh.ragged import segment_any, take, true_rows
 from ..mesh.triangle import least_ratio
 from ..smoothing.boundary_limits import asked_of, fan_limits
 from ..status import Status
@@ -42,15 +42,15 @@ def beyond(
     worse = q.upright & (q.inverse_mean_ratio > least)
     if unchangeable is not None:
         worse &= ~unchangeable
-    rows = worse.nonzero().squeeze(1)
+    rows = true_rows(worse)
     if not len(rows):
         return ~q.upright
     angle = smallest_angles(mesh, rows)
-    ratio = q.inverse_mean_ratio.index_select(0, rows)
+    ratio = take(q.inverse_mean_ratio, rows)
     bad = (angle < t) | (ratio > bound.ratio)
     if bool(bad.any()):
         limits = limits_of(mesh) if limits is None else limits
-        few = replace(mesh, triangles=mesh.triangles.index_select(0, rows), _twin=None)
+        few = replace(mesh, triangles=take(mesh.triangles, rows), _twin=None)
         asked, most = asked_of(few, limits, t, bound.ratio, bound.limit_share)
         bad = (angle < asked) | (ratio > most)
     return (~q.upright).index_put((rows,), bad)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.connectivity import corners_of, touching
+from ..mesh.ragged import take, true_rows
 from ..mesh.triangle import corners, squared_edge_lengths
 
 # The search for vertices near the damage divides a mesh into at most so many cells along each axis.
@@ -52,9 +53,9 @@ def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor, rings: int)
 def _grown(triangles: Tensor, damage: Tensor, rings: int, near: Tensor) -> Neighbourhood | None:
     """The neighbourhood if all its vertices are `near` (V,) bool, so that no triangle at them is missed; else None."""
     # The work is done on the near triangles and vertices, with rows of their own; the result has rows of the mesh.
-    faces = touching(triangles, near).nonzero().squeeze(1)
-    here = triangles.index_select(0, faces)
-    rows = torch.zeros_like(near).index_fill_(0, here.reshape(-1), True).nonzero().squeeze(1)
+    faces = true_rows(touching(triangles, near))
+    here = take(triangles, faces)
+    rows = true_rows(torch.zeros_like(near).index_fill_(0, here.reshape(-1), True))
     number = torch.empty(len(near), dtype=torch.int64, device=near.device)
     number[rows] = torch.arange(len(rows), device=near.device)
     here = number[here]
@@ -87,4 +88,4 @@ def _nearby(x: Tensor, y: Tensor, extent: float, damaged: Tensor, reach: float) 
     marked = marked.reshape(cells, cells)
     wide = marked | marked.roll(1, 0) | marked.roll(-1, 0)
     wide = wide | wide.roll(1, 1) | wide.roll(-1, 1)
-    return wide.reshape(-1).index_select(0, cell)
+    return take(wide.reshape(-1), cell)

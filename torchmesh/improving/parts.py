@@ -19,7 +19,16 @@ from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, triangle_mesh
 from ..mesh.connectivity import keys_of
 from ..mesh.quads import diagonals
-from ..mesh.ragged import counts_from_offsets, offsets_from_counts, segment_ids, segment_max, segment_sum, spread
+from ..mesh.ragged import (
+    counts_from_offsets,
+    offsets_from_counts,
+    put_rows,
+    segment_ids,
+    segment_max,
+    segment_sum,
+    spread,
+    true_rows,
+)
 from ..mesh.submesh import with_both_halves
 from ..mesh.vertex_map import Names
 from .report import Step
@@ -54,7 +63,7 @@ class Parts:
         count = len(batch.points)
         touched = connectivity.touching(batch.triangles, free)
         touched = with_both_halves(batch, touched)[0] if len(batch.quads) else touched
-        faces = touched.nonzero().squeeze(1)
+        faces = true_rows(touched)
         here = batch.triangles[faces]
         apart = ~(free[connectivity.tails(here)] | free[connectivity.heads(here)])
         if len(batch.quads):
@@ -203,17 +212,17 @@ def paste(parts: Parts, after: State, at: Tensor, names: Names) -> Pasted:
 def _paste_rows(parts: Parts, after: MeshBatch) -> Pasted:
     """`paste` where vertices and triangles keep their numbers."""
     batch = parts.batch
-    moved = parts.free.nonzero().squeeze(1)
+    moved = true_rows(parts.free)
     mesh = replace(
         batch,
-        points=batch.points.index_copy(0, parts.vertices[moved], after.points[moved]),
-        triangles=batch.triangles.index_copy(0, parts.triangles, parts.vertices[after.triangles]),
+        points=put_rows(batch.points, parts.vertices[moved], after.points[moved]),
+        triangles=put_rows(batch.triangles, parts.triangles, parts.vertices[after.triangles]),
         _twin=None,
     )
     part = segment_ids(after.triangle_offsets)
     every = torch.arange(len(batch.triangles), device=moved.device)
     same = torch.arange(len(batch.points), device=moved.device)
-    return Pasted(mesh, None, every.index_copy(0, parts.triangles, -1 - part), same, torch.full_like(same, -1))
+    return Pasted(mesh, None, put_rows(every, parts.triangles, -1 - part), same, torch.full_like(same, -1))
 
 
 def _paste_others(given: Parts, after: State, at: Tensor, names: Names) -> Pasted:
@@ -227,11 +236,11 @@ def _paste_others(given: Parts, after: State, at: Tensor, names: Names) -> Paste
     kept[parts.vertices[parts.free]] = False
     kept[old[old >= 0]] = True
     of_part = parts.owner[segment_ids(mesh.point_offsets)]
-    fresh = (old < 0).nonzero().squeeze(1)
+    fresh = true_rows(old < 0)
     mesh_of = segment_ids(batch.point_offsets)
     owner = torch.cat([mesh_of[kept], of_part[fresh]])
     order = owner.argsort(stable=True)
-    vertex = torch.cat([kept.nonzero().squeeze(1), torch.full_like(fresh, -1)])[order]
+    vertex = torch.cat([true_rows(kept), torch.full_like(fresh, -1)])[order]
     inserted = torch.cat([torch.full((int(kept.sum()),), -1, device=device), fresh])[order]
     offsets = offsets_from_counts(torch.bincount(owner, minlength=len(batch)))
     row = torch.arange(len(order), device=device)
@@ -252,7 +261,7 @@ def _paste_others(given: Parts, after: State, at: Tensor, names: Names) -> Paste
     part = segment_ids(mesh.triangle_offsets)
     face_owner = torch.cat([triangle_mesh(batch)[outside], parts.owner[part]])
     face_order = face_owner.argsort(stable=True)
-    rows = torch.cat([outside.nonzero().squeeze(1), -1 - part])[face_order]
+    rows = torch.cat([true_rows(outside), -1 - part])[face_order]
     whole = MeshBatch(
         points,
         faces[face_order],

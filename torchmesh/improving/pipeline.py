@@ -14,7 +14,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import interface_vertices, released
 from ..mesh.measure import quality
 from ..mesh.quads import has_quads
-from ..mesh.ragged import segment_count
+from ..mesh.ragged import segment_count, true_rows
 from ..mesh.rows import check_rows
 from ..mesh.unfit import on_a_line, unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
@@ -100,7 +100,7 @@ def improve(
         _check_options(work, options)
         called = walls if callable(walls) else lambda: walls or {}
         state = _begun(work, options, hold, called).ended(unfit, Status.NOT_FINITE)
-        state = state.explained({b: what_is_unfit(batch, b)[0] for b in unfit.nonzero().squeeze(1).tolist()})
+        state = state.explained({b: what_is_unfit(batch, b)[0] for b in true_rows(unfit).tolist()})
         log.mark("initial", state, torch.ones_like(state.valid))
         state = whole_job(options, workers if shared else 1)(state, log)
         report = report_on(_measured_from(work, state), log, options)
@@ -129,7 +129,7 @@ def _begun(
         own = [(("boundary order", what_failed(errors[b])),) if b in errors else () for b in range(len(state))]
         state = replace(state, failures=tuple(a + b for a, b in zip(own, state.failures, strict=True)))
     if in_line is not None:
-        state = state.noted({b: _in_line_text(int(in_line[b])) for b in in_line.nonzero().squeeze(1).tolist()})
+        state = state.noted({b: _in_line_text(int(in_line[b])) for b in true_rows(in_line).tolist()})
     return state
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..errors import ConvergenceError
 from ..mesh.measure import Quality
+from ..mesh.ragged import true_rows
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
 
@@ -145,7 +146,7 @@ class Report:
 
     def check(self) -> "Report":
         """Return the report if every mesh is valid; otherwise raise ConvergenceError, which names the meshes."""
-        failed = (~self.valid).nonzero().squeeze(1).tolist()
+        failed = true_rows(~self.valid).tolist()
         if failed:
             shown = "; ".join(
                 f"mesh {b}: {int(self.quality.inverted[b])} inverted, {self.messages[b]}" for b in failed[:10]

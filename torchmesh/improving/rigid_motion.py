@@ -18,6 +18,7 @@ from ..errors import InvalidMeshError
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import keys_of
+from ..mesh.ragged import true_rows
 from .layered_motion import Path
 
 # A wall moves as a body if no vertex is off by more than this part of its extent: positions may come from files.
@@ -106,8 +107,8 @@ def bodies_of(batch: MeshBatch, rigid: Tensor, goal: Tensor) -> tuple[Body, ...]
     bodies = []
     for name in label[rigid].unique().tolist():
         mine = rigid & (label == name)
-        followers = (mine & ~batch.fixed).nonzero().squeeze(1)
-        wall = (mine & batch.fixed).nonzero().squeeze(1)
+        followers = true_rows(mine & ~batch.fixed)
+        wall = true_rows(mine & batch.fixed)
         if not len(wall):
             wall = head[beside & mine[tail]].unique()
         if not len(followers):

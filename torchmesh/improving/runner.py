@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..errors import what_failed
 from ..mesh.batch import MeshBatch, put
-from ..mesh.ragged import counts_from_offsets
+from ..mesh.ragged import counts_from_offsets, put_rows, take, true_rows
 from ..optimising.moves import Monitor
 from .report import Progress, Step
 from .state import State
@@ -66,16 +66,18 @@ class Work:
 
     def put(self, at: Tensor, part: "Work") -> "Work":
         """This work with that on the meshes `at` (B,) bool replaced by `part`."""
-        rows = at.nonzero().squeeze(1)
-        columns = {f.name: getattr(self, f.name).index_copy(0, rows, getattr(part, f.name)) for f in fields(self)}
+        rows = true_rows(at)
+        columns = {f.name: put_rows(getattr(self, f.name), rows, getattr(part, f.name)) for f in fields(self)}
         return Work(**columns)
 
     def over(self, at: Tensor) -> "Work":
         """The same work as columns over the whole batch, of which the meshes `at` (B,) bool took the stage."""
+        if len(self.took) == len(at):
+            return self
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
         whole = {name: torch.zeros(len(at), dtype=c.dtype, device=at.device) for name, c in columns.items()}
-        rows = at.nonzero().squeeze(1)
-        return Work(**{name: whole[name].index_copy(0, rows, column) for name, column in columns.items()})
+        rows = true_rows(at)
+        return Work(**{name: put_rows(whole[name], rows, column) for name, column in columns.items()})
 
 
 Stage = Callable[[State, Monitor | None], tuple[State, Work]]
@@ -133,7 +135,7 @@ class Log:
             same = all(len(now) == int(counts_from_offsets(offsets)[at].sum()) for now, offsets in rows)
             return put(whole, at, mesh) if same else mesh
 
-        return self.view(at.nonzero().squeeze(1), pasted)
+        return self.view(true_rows(at), pasted)
 
     def begin(self, stage: str, state: State, at: Tensor) -> Monitor | None:
         """Note that a stage begins on the meshes `at` (B,) bool; returns the monitor for its minimisations."""
@@ -170,7 +172,7 @@ class Log:
     def amend(self, state: State, at: Tensor) -> None:
         """Put the present quality of the meshes `at` (B,) bool into their last rows: rounding has changed it since."""
         q = state.quality
-        for b in at.nonzero().squeeze(1).tolist():
+        for b in true_rows(at).tolist():
             self.amend_row(b, float(q.mean[b]), float(q.max[b]), int(q.inverted[b]))
 
     def amend_row(self, b: int, mean: float, largest: float, inverted: int) -> None:
@@ -184,11 +186,14 @@ class Log:
 
     def _write(self, name: str, state: State, at: Tensor, seconds: float, work: Work) -> None:
         """Write a row for each of the meshes `at`, of which `work` has a row each, and call the observer."""
-        q, meshes = state.quality, at.nonzero().squeeze(1)
-        of_meshes = (column.index_select(0, meshes) for column in (q.mean, q.max, q.inverted))
+        q, meshes = state.quality, true_rows(at)
+        of_meshes = (take(column, meshes) for column in (q.mean, q.max, q.inverted))
         columns = (meshes, *of_meshes, work.flips, work.iterations, work.cavities, work.kept)
-        # All in one table: another device is waited for once.  Counts are far below 2^53.
-        table = torch.stack([column.to(torch.float64) for column in columns]).T.tolist()
+        if meshes.is_cpu:
+            table = list(zip(*(column.tolist() for column in columns), strict=True))
+        else:
+            # All in one table: another device is waited for once.  Counts are far below 2^53.
+            table = torch.stack([column.to(torch.float64) for column in columns]).T.tolist()
         for b, mean, worst, inverted, flips, iterations, cavities, kept in table:
             counts = int(flips), int(iterations)
             step = Step(name, mean, worst, int(inverted), *counts, seconds, int(cavities), bool(kept))
@@ -215,7 +220,7 @@ class Runner:
 
     def __call__(self, name: str, stage: Stage, state: State, at: Tensor) -> tuple[State, Work]:
         """The meshes `at` (B,) bool of `state` take the stage; the others stay as they are."""
-        at = at & ~state.has_failed_in(name)
+        at = at & ~state.has_failed_in(name) if any(state.failures) else at
         if not bool(at.any()):
             return state, Work.nothing(state)
         part, work = self._guarded(name, stage, state.select(at), self.log.begin(name, state, at))
@@ -225,7 +230,7 @@ class Runner:
 
     def quietly(self, name: str, stage: Callable[[State], State], state: State, at: Tensor) -> State:
         """The same for what is no stage in the eyes of the caller: nothing is logged."""
-        at = at & ~state.has_failed_in(name)
+        at = at & ~state.has_failed_in(name) if any(state.failures) else at
         if not bool(at.any()):
             return state
         part, _ = self._guarded(name, lambda part, _: (stage(part), Work.nothing(part)), state.select(at), None)

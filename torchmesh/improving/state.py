@@ -21,13 +21,13 @@ from ..mesh.curves import BoundaryCurves
 from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import holding
 from ..mesh.measure import Quality, quality
-from ..mesh.ragged import segment_count, segment_max, segment_sum, spread
+from ..mesh.ragged import rows_of, segment_count, segment_max, segment_sum, spread, take, true_rows
 from ..mesh.vertex_map import Names, exchange
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, as_targets, narrow, narrow_quads, quad_targets_from
 from ..remeshing.sizing import SizeConformity
 from ..status import Status
-from .columns import Edits, put_conformity, put_quality, put_rows, select_conformity, select_quality
+from .columns import Edits, put_conformity, put_quality, put_where, select_conformity, select_quality
 from .given import Given
 from .options import ImproveOptions
 
@@ -234,7 +234,9 @@ class State:
 
     def of_given_vertices(self, rows: Tensor) -> Tensor:
         """Those of the rows (V, ...) over all the vertices given that belong to these meshes."""
-        return rows[spread(self._of_origin().to(rows.device), self.origin.mesh.point_offsets.to(rows.device))]
+        if len(self) == len(self.origin.mesh):
+            return rows
+        return take(rows, rows_of(self._of_origin().to(rows.device), self.origin.mesh.point_offsets.to(rows.device)))
 
     def _of_origin(self) -> Tensor:
         mask = torch.zeros(len(self.origin.mesh), dtype=torch.bool, device=self.meshes.device)
@@ -271,11 +273,12 @@ class State:
         """The meshes `at` (B,) bool, with their rows of everything."""
         if bool(at.all()):
             return self
-        rows = spread(at, self.mesh.point_offsets)
-        chosen = at.nonzero().squeeze(1).tolist()
+        vertices = spread(at, self.mesh.point_offsets)
+        rows = true_rows(vertices)
+        chosen = true_rows(at).tolist()
 
         def by_vertex(values: Tensor | None) -> Tensor | None:
-            return None if values is None else values[rows]
+            return None if values is None else take(values, rows)
 
         return State(
             mesh=self.mesh.select(at),
@@ -298,7 +301,7 @@ class State:
             lively=by_vertex(self.lively),
             sizes=by_vertex(self.sizes),
             conformity=select_conformity(self.conformity, at),
-            names=None if self.names is None else self.names.select(rows),
+            names=None if self.names is None else self.names.select(vertices),
             edits=None if self.edits is None else self.edits.select(at),
             failures=tuple(self.failures[b] for b in chosen),
         )
@@ -324,7 +327,7 @@ class State:
         sizes = self.sizes
         if part.sizes is not None:
             sizes = part.sizes.new_full((len(self.mesh.points),), torch.nan) if sizes is None else sizes
-            sizes = put_rows(sizes, spread(at, self.mesh.point_offsets), part.sizes)
+            sizes = put_where(sizes, spread(at, self.mesh.point_offsets), part.sizes)
         return replace(
             whole,
             mesh=put(self.mesh, at, part.mesh),
@@ -335,17 +338,17 @@ class State:
 
     def _with_rows_of_meshes(self, at: Tensor, part: "State") -> "State":
         """This state with what has one row a mesh taken from `part`."""
-        row = {b: i for i, b in enumerate(at.nonzero().squeeze(1).tolist())}
+        row = {b: i for i, b in enumerate(true_rows(at).tolist())}
 
         def mixed(old: tuple[_T, ...], new: tuple[_T, ...]) -> tuple[_T, ...]:
             return tuple(new[row[b]] if b in row else entry for b, entry in enumerate(old))
 
         return replace(
             self,
-            status=put_rows(self.status, at, part.status),
-            certified=put_rows(self.certified, at, part.certified),
+            status=put_where(self.status, at, part.status),
+            certified=put_where(self.certified, at, part.certified),
             conformity=put_conformity(self.conformity, at, part.conformity),
-            impossible=put_rows(self.impossible, at, part.impossible),
+            impossible=put_where(self.impossible, at, part.impossible),
             reasons=mixed(self.reasons, part.reasons),
             faults=mixed(self.faults, part.faults),
             notes=mixed(self.notes, part.notes),

@@ -139,6 +139,8 @@ def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:
     gain = Gain.of(state.quality.inverted)
     for _ in range(o.untangle_rounds):
         going = state.tangled & gain.lasts(o.rounds)
+        if not bool(going.any()):
+            break
         state, _ = run("flip", flip(FlipOptions(max_rounds=o.rounds.flip_rounds)), state, going)
         state, _ = run("untangle-beta", untangle_beta(o.untangle), state, going & state.tangled)
         gain = gain.after(state.quality.inverted, o.rounds)
@@ -237,6 +239,8 @@ def flip_and_smooth(state: State, run: Runner, o: ImproveOptions) -> State:
         if turn and o.smooth.targets is None:
             going = going & ~settled(before, state, o)
         going = going & (flipped.flips > 0)
+        if not bool(going.any()):
+            break
     return replace(state, lively=None)
 
 

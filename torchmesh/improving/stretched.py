@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
-from ..mesh.ragged import counts_from_offsets, segment_count, spread
+from ..mesh.ragged import counts_from_offsets, segment_count, spread, true_rows
 from ..optimising.metric_field import MetricField, mean_at_vertices
 from ..optimising.targets import metric_from
 from .options import ImproveOptions
@@ -83,7 +83,7 @@ def own_metric(state: State, limits: StretchOptions) -> tuple[Tensor, Tensor] | 
     enough = stretched >= limits.share * segment_count(used, few.point_offsets)
     whole = metric.new_tensor([1.0, 0.0, 1.0]).repeat(len(state.mesh.points), 1)
     whole[spread(at, state.mesh.point_offsets)] = metric
-    at = at.index_put((at.nonzero().squeeze(1),), enough)
+    at = at.index_put((true_rows(at),), enough)
     return (whole, at) if bool(at.any()) else None
 
 

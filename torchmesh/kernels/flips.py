@@ -5,7 +5,7 @@ import ctypes
 import torch
 from torch import Tensor
 
-from .library import ADDRESS, INT32, INT64, call, pointer
+from .library import ADDRESS, INT32, INT64, call, function, pointer
 
 # A call of the library comes back after so many questions, a fraction of a second, so that Python sees interrupts.
 _WORK = 5_000_000
@@ -23,6 +23,16 @@ class _Rounds(ctypes.Structure):
         ("queue", ADDRESS), ("queued", INT64), ("max_rounds", INT64), ("vertices", INT64),
         ("rule", INT32), ("once", INT32),
     ]  # fmt: skip
+
+
+def edges_of(triangles: Tensor, twin: Tensor) -> Tensor:
+    """(Q,) int64, ascending: the lower half-edges of the interior edges of the `triangles` (T,) bool; twin (3T,)."""
+    triangles, twin = triangles.contiguous(), twin.contiguous()
+    given = triangles.data_ptr(), twin.data_ptr(), twin.numel()
+    kinds = ADDRESS, ADDRESS, INT64, ADDRESS
+    edges = torch.empty(function("tm_edges_of", INT64, *kinds)(*given, None), dtype=torch.int64)
+    function("tm_edges_of", INT64, *kinds)(*given, edges.data_ptr())
+    return edges
 
 
 def flip_in_rounds(

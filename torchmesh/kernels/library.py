@@ -12,15 +12,16 @@ is missing; without it, the library is used where it is there.
 import ctypes
 import functools
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 INT32, INT64, DOUBLE, ADDRESS = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+BOOL = ctypes.c_bool
 
 _CHOICES = ("", "torch", "compiled")
 _chosen: str | None = None
@@ -32,9 +33,7 @@ def library() -> ctypes.CDLL | None:
     Raises RuntimeError if TORCHMESH_KERNELS asks for them and they are not there, or has another value than those that
     the head of this module names.
     """
-    choice = os.environ.get("TORCHMESH_KERNELS", "") if _chosen is None else _chosen
-    if choice not in _CHOICES:
-        raise RuntimeError(f"TORCHMESH_KERNELS must be 'torch' or 'compiled', or not be set; it is {choice!r}")
+    choice = asked_for() if _chosen is None else _chosen
     if choice == "torch":
         return None
     found = _load()
@@ -46,9 +45,18 @@ def library() -> ctypes.CDLL | None:
     return found
 
 
+@functools.cache
+def asked_for() -> str:
+    """What TORCHMESH_KERNELS says, which is read once."""
+    choice = os.environ.get("TORCHMESH_KERNELS", "")
+    if choice not in _CHOICES:
+        raise RuntimeError(f"TORCHMESH_KERNELS must be 'torch' or 'compiled', or not be set; it is {choice!r}")
+    return choice
+
+
 def library_for(values: "Tensor") -> ctypes.CDLL | None:
     """The compiled loops, or None where torch is to do their work, as on another device than the processor."""
-    return library() if values.device.type == "cpu" else None
+    return library() if values.is_cpu else None
 
 
 def kernels_in_use() -> str:
@@ -89,6 +97,19 @@ def call(name: str, result: type | None, *arguments: object) -> int:
     function.restype = result
     value: int = function(*arguments)
     return value
+
+
+@functools.cache
+def function(name: str, result: type | None, *arguments: type) -> Callable[..., int]:
+    """A function of the library that takes plain numbers as its `arguments`, for calls that must cost little.
+
+    It may be called where the library is in use.
+    """
+    loops = _load()
+    assert loops is not None
+    found = loops[name]
+    found.restype, found.argtypes = result, arguments
+    return cast("Callable[..., int]", found)
 
 
 def release(name: str, handle: int) -> None:

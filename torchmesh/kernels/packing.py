@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .library import ADDRESS, INT64, call, pointer
+from .library import ADDRESS, INT32, INT64, call, function, pointer
 
 
 class _Batch(ctypes.Structure):
@@ -69,6 +69,30 @@ def packed(
     call("tm_pack", None, ctypes.byref(batch), ADDRESS(pointer(block_offsets)), ADDRESS(pointer(anchor)),
          ctypes.byref(out))  # fmt: skip
     return columns | {"block_offsets": block_offsets, "triangle_offsets": kept_offsets}
+
+
+def scattered(values: Tensor, vertices: Tensor, x_rows: Tensor, y_rows: Tensor, like: Tensor) -> Tensor:
+    """(N,) in the type of `like` (N,) the `values` (V,) float64; `optimising.objective.Packing.spread_vertices`."""
+    values, out = values.contiguous(), torch.zeros_like(like)
+    rows = (v.contiguous() for v in (vertices, x_rows, y_rows))
+    name = "tm_scatter_single" if out.dtype == torch.float32 else "tm_scatter"
+    function(name, None, ADDRESS, ADDRESS, ADDRESS, ADDRESS, INT64, ADDRESS)(
+        values.data_ptr(), *(v.data_ptr() for v in rows), vertices.numel(), out.data_ptr()
+    )
+    return out
+
+
+def unpacked(packing: Any, unknowns: Tensor, points: Tensor) -> Tensor:
+    """(V, 2) `optimising.objective.Packing.unpack` of the `packing`, with points (V, 2) float64."""
+    moved = points.clone(memory_format=torch.contiguous_format)
+    columns = (packing.unknowns, unknowns, packing.vertices, packing.x_rows, packing.y_rows, packing.point_mesh,
+               packing.centre, packing.unit)  # fmt: skip
+    whole = [v.contiguous() for v in columns]
+    name = "tm_unpack_single" if unknowns.dtype == torch.float32 else "tm_unpack"
+    function(name, None, *[ADDRESS] * 8, INT32, INT64, ADDRESS)(
+        *(v.data_ptr() for v in whole), packing.edges is not None, packing.vertices.numel(), moved.data_ptr()
+    )
+    return moved
 
 
 def vertex_size(points: Tensor, triangles: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ f=====u     the wall turns          /f    \\      at the foot turns, and keeps i
 import torch
 from torch import Tensor
 
+from ..mesh.ragged import true_rows
 from .layers import Layers
 
 
@@ -31,7 +32,7 @@ def follow_walls(layers: Layers, before: Tensor, after: Tensor) -> Tensor:
     total = torch.zeros_like(new)
     for corner in (2, 3):
         total.index_add_(0, layers.corners[:, corner], turn)
-    rows = layers.vertices(len(old)).nonzero().squeeze(1)
+    rows = true_rows(layers.vertices(len(old)))
     total = total[rows]
     # Where the turns on both sides cancel, the wall is folded; the vertex keeps its direction there.
     length = (total * total).sum(1).sqrt()[:, None]

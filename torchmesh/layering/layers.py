@@ -21,6 +21,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
 from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import upright
+from ..mesh.ragged import true_rows
 
 # A first row is of at least so many quadrilaterals, side by side.
 _SIDE_BY_SIDE = 3
@@ -169,7 +170,7 @@ class _Walk:
         self.blocked = self.twin < 0
         if len(batch.constrained_edges):
             self.blocked = self.blocked | constrained_half_edges(batch)
-        self.front = self.wall = self.begun = self.blocked.nonzero().squeeze(1) if walls is None else walls
+        self.front = self.wall = self.begun = true_rows(self.blocked) if walls is None else walls
         self.length = self._length(self.wall)
         self.below = torch.full_like(self.length, torch.inf)
 
@@ -180,7 +181,17 @@ class _Walk:
         # Even where the upper edge of a quadrilateral is not parallel to the wall, its lower triangle is hardly twice
         # as high as the whole.
         low = _cross(q - p, apex - p) <= 2 * self.options.first * self.length * self.length
+        if not self._side_by_side(h[low]):
+            low = torch.zeros_like(low)
         self.front, self.wall, self.length, self.below = (v[low] for v in (h, self.wall, self.length, self.below))
+
+    def _side_by_side(self, walls: Tensor) -> bool:
+        """Whether one of the `walls` (N,) has others at both ends, as the three of a first row have."""
+        begins = torch.zeros(len(self.points), dtype=torch.bool, device=walls.device)
+        begins[self.tail[walls]] = True
+        ends = torch.zeros_like(begins)
+        ends[self.head[walls]] = True
+        return bool((begins[self.head[walls]] & ends[self.tail[walls]]).any())
 
     def _length(self, h: Tensor) -> Tensor:
         return (self.points[self.head[h]] - self.points[self.tail[h]]).norm(dim=1)
@@ -267,7 +278,7 @@ def _in_company(quads: Layers, options: LayerOptions) -> Tensor:
         same = left[after] == right
         ratio = quads.height[after] / quads.height
         same &= (ratio <= options.alike) & (ratio * options.alike >= 1)
-        rows = same.nonzero().squeeze(1)
+        rows = true_rows(same)
         neighbours[rows, 1] = after[rows]
         neighbours[after[rows], 0] = rows
     there = neighbours >= 0

@@ -17,7 +17,19 @@ from torch import Tensor
 from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
 from .numbers import numbers_of
-from .ragged import counts_from_offsets, offsets_from_counts, owner_of, rows_of, rows_of_each, segment_ids, spread
+from .ragged import (
+    counts_from_offsets,
+    offsets_from_counts,
+    owner_of,
+    put_rows,
+    rows_of,
+    rows_of_each,
+    segment_ids,
+    shifted,
+    spread,
+    take,
+    true_rows,
+)
 from .rows import check_rows
 from .validation import (
     checked_constraints,
@@ -250,7 +262,7 @@ class MeshBatch:
         keep = torch.as_tensor(keep, device=self.points.device)
         if keep.dtype != torch.bool or keep.shape != (len(self),):
             raise InvalidMeshError(f"keep must be ({len(self)},) bool, not {tuple(keep.shape)} {keep.dtype}")
-        return self if bool(keep.all()) else self._taken(keep.nonzero().squeeze(1))
+        return self if bool(keep.all()) else self._taken(true_rows(keep))
 
     def _taken(self, numbers: Tensor) -> "MeshBatch":
         """The meshes of these `numbers` (M,) int64, in this order."""
@@ -258,14 +270,14 @@ class MeshBatch:
         offsets = offsets_from_counts(counts_from_offsets(self.point_offsets)[numbers])
         triangle_offsets = offsets_from_counts(counts_from_offsets(self.triangle_offsets)[numbers])
         shift = offsets[:-1] - self.point_offsets[:-1][numbers]
-        triangles = self.triangles.index_select(0, faces).add_(spread(shift, triangle_offsets)[:, None])
+        triangles = shifted(take(self.triangles, faces), shift, triangle_offsets)
         quad_offsets = offsets_from_counts(counts_from_offsets(self.quad_offsets)[numbers])
-        quads = self.quads[rows_of_each(numbers, self.quad_offsets)] + spread(shift, quad_offsets)[:, None]
+        quads = shifted(self.quads[rows_of_each(numbers, self.quad_offsets)], shift, quad_offsets)
         twin = self.known_twin
         return MeshBatch(
-            self.points.index_select(0, rows),
+            take(self.points, rows),
             triangles,
-            self.fixed.index_select(0, rows),
+            take(self.fixed, rows),
             _taken_constraints(self, numbers, shift),
             offsets,
             triangle_offsets,
@@ -328,12 +340,12 @@ def put(batch: MeshBatch, at: Tensor, part: MeshBatch) -> MeshBatch:
     if len(part) == len(batch):
         return part
     shift = batch.point_offsets[:-1][at] - part.point_offsets[:-1]
-    triangles = part.triangles + spread(shift, part.triangle_offsets)[:, None]
-    triangles = batch.triangles.index_copy(0, rows_of(at, batch.triangle_offsets), triangles)
+    triangles = shifted(part.triangles, shift, part.triangle_offsets)
+    triangles = put_rows(batch.triangles, rows_of(at, batch.triangle_offsets), triangles)
     twin = batch.known_twin
     return dataclasses.replace(
         batch,
-        points=batch.points.index_copy(0, rows_of(at, batch.point_offsets), part.points),
+        points=put_rows(batch.points, rows_of(at, batch.point_offsets), part.points),
         triangles=triangles,
         _twin=None if twin is None else (triangles, _put_twins(batch, twin, at, part.twin)),
     )
@@ -353,17 +365,16 @@ def _taken_constraints(batch: MeshBatch, numbers: Tensor, shift: Tensor) -> Tens
 
 def _taken_twins(batch: MeshBatch, twin: Tensor, numbers: Tensor, triangle_offsets: Tensor) -> Tensor:
     """The twins (3T',) of the meshes `numbers` of `batch`, whose triangles get `triangle_offsets` (M+1,)."""
-    part = twin.index_select(0, rows_of_each(numbers, 3 * batch.triangle_offsets))
+    part = take(twin, rows_of_each(numbers, 3 * batch.triangle_offsets))
     shift = 3 * (triangle_offsets[:-1] - batch.triangle_offsets[:-1][numbers])
-    return _shifted(part, spread(shift, 3 * triangle_offsets))
+    return shifted(part, shift, 3 * triangle_offsets)
 
 
 def _put_twins(batch: MeshBatch, twin: Tensor, at: Tensor, part: Tensor) -> Tensor:
     """`twin` (3T,) of `batch` with those of the meshes `at` (B,) bool replaced by `part`, numbered within it."""
     offsets = 3 * batch.triangle_offsets
-    counts = counts_from_offsets(offsets)
-    shift = offsets[:-1] - offsets_from_counts(counts * at)[:-1]
-    return twin.index_copy(0, rows_of(at, offsets), _shifted(part, shift[at].repeat_interleave(counts[at])))
+    ends = offsets_from_counts(counts_from_offsets(offsets)[at])
+    return put_rows(twin, rows_of(at, offsets), shifted(part, offsets[:-1][at] - ends[:-1], ends))
 
 
 def lift(mesh: MeshBatch) -> Tensor:

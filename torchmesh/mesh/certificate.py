@@ -8,7 +8,7 @@ from torch import Tensor
 from . import connectivity
 from .batch import MeshBatch
 from .connectivity import keys_of
-from .ragged import counts_from_offsets, owner_of, segment_count
+from .ragged import counts_from_offsets, owner_of, segment_count, true_rows
 
 if TYPE_CHECKING:
     from .vertex_map import VertexMap
@@ -36,12 +36,12 @@ def same_frame(
         same[owner_of(vertices, before.point_offsets)] = False
 
     gone = stays & (new_row < 0)
-    fail((gone | (stays & (before.points != after.points[new_row]).any(1))).nonzero().squeeze(1))
+    fail(true_rows(gone | (stays & (before.points != after.points[new_row]).any(1))))
     if before.triangles is after.triangles:
         return same
     if len(before.quads):
         # The halves of quads are where they were, row by row.
-        halves = before.of_quads.nonzero().squeeze(1)
+        halves = true_rows(before.of_quads)
         gone = (before.triangles[halves] != after.triangles[halves]).any(1)
         same[owner_of(halves[gone], before.triangle_offsets)] = False
     count = len(before.points)

@@ -13,8 +13,10 @@ touch is opposite.  Its twin is the half-edge of the neighbour across the same e
 import torch
 from torch import Tensor
 
-from ..kernels import geometry
+from ..kernels import geometry, ragged
 from ..kernels.library import library_for
+from .detached import loops_may_read
+from .ragged import take, true_rows
 
 _INT32 = torch.iinfo(torch.int32).max
 
@@ -63,21 +65,21 @@ def twins(triangles: Tensor) -> Tensor:
     # Vertices of one triangle stand near each other in a batch: small keys, which are sorted in half the time.
     keys = low.mul_(span).add_(apart)
     keys, order = (keys.to(torch.int32) if size * span <= _INT32 else keys).sort()
-    first = (keys[1:] == keys[:-1]).nonzero().squeeze(1)
-    left, right = order.index_select(0, first), order.index_select(0, first + 1)
+    first = true_rows(keys[1:] == keys[:-1])
+    left, right = take(order, first), take(order, first + 1)
     return torch.full_like(u, -1).scatter_(0, left, right).scatter_(0, right, left)
 
 
 def edges(triangles: Tensor, twin: Tensor) -> Tensor:
     """(E, 2) each undirected edge once, as its lower half-edge runs."""
     h = torch.arange(len(twin), device=twin.device)
-    once = ((twin < 0) | (h < twin)).nonzero().squeeze(1)
-    return torch.stack([ends(triangles).index_select(0, once) for ends in (tails, heads)], 1)
+    once = true_rows((twin < 0) | (h < twin))
+    return torch.stack([take(ends(triangles), once) for ends in (tails, heads)], 1)
 
 
 def boundary_edges(triangles: Tensor, twin: Tensor) -> Tensor:
     """(E_b, 2) the edges of one triangle only, with the mesh on their left."""
-    boundary = (twin < 0).nonzero().squeeze(1)
+    boundary = true_rows(twin < 0)
     flat = triangles.reshape(-1)
     return torch.stack([flat[boundary], flat[next_in_triangle(boundary)]], 1)
 
@@ -97,7 +99,7 @@ def half_edges_on(triangles: Tensor, edges: Tensor, vertices: int) -> Tensor:
     ends = torch.zeros(vertices, dtype=torch.bool, device=triangles.device)
     ends[edges.reshape(-1)] = True
     tail, head = tails(triangles), heads(triangles)
-    near = (ends[tail] & ends[head]).nonzero().squeeze(1)
+    near = true_rows(ends[tail] & ends[head])
     keys, known = edge_keys(tail[near], head[near], vertices), keys_of(edges, vertices).sort().values
     # A search in sorted keys takes a third of the time of `torch.isin`, which sorts both.
     found[near] = known[torch.searchsorted(known, keys).clamp_max_(len(known) - 1)] == keys
@@ -106,14 +108,18 @@ def half_edges_on(triangles: Tensor, edges: Tensor, vertices: int) -> Tensor:
 
 def touching(triangles: Tensor, vertices: Tensor) -> Tensor:
     """(T,) bool: the triangles with a corner among `vertices` (V,) bool."""
-    a, b, c = (vertices.index_select(0, v.contiguous()) for v in triangles.unbind(1))
+    if loops_may_read(vertices):
+        return ragged.touching(triangles, vertices)
+    a, b, c = (take(vertices, v.contiguous()) for v in triangles.unbind(1))
     return a | b | c
 
 
 def corners_of(triangles: Tensor, these: Tensor, vertices: int) -> Tensor:
     """(V,) bool: the corners of `these` (T,) bool of the triangles."""
+    if loops_may_read(these):
+        return ragged.corners_of(triangles, these, vertices)
     mask = torch.zeros(vertices, dtype=torch.bool, device=triangles.device)
-    return mask.index_fill_(0, triangles.index_select(0, these.nonzero().squeeze(1)).reshape(-1), True)
+    return mask.index_fill_(0, take(triangles, true_rows(these)).reshape(-1), True)
 
 
 def vertex_triangle_counts(triangles: Tensor, vertices: int) -> Tensor:
@@ -134,23 +140,23 @@ def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None 
     lower root, all at once, then every tree is flattened (Shiloach & Vishkin, An O(log n) parallel
     connectivity algorithm, Journal of Algorithms 3, 1982); about five rounds do a million triangles.
     """
-    h = (twin > torch.arange(len(twin), device=twin.device)).nonzero().squeeze(1)
-    across = twin.index_select(0, h)
+    h = true_rows(twin > torch.arange(len(twin), device=twin.device))
+    across = take(twin, h)
     if blocked is not None:
-        passed = (~(blocked[h] & blocked[across])).nonzero().squeeze(1)
+        passed = true_rows(~(blocked[h] & blocked[across]))
         h, across = h[passed], across[passed]
     one, two = h // 3, across // 3
     rows = torch.arange(len(triangles), device=twin.device)
     root = rows.clone()
     while len(one):
         root.scatter_reduce_(0, torch.maximum(one, two), torch.minimum(one, two), "amin")
-        above = root.index_select(0, root)
+        above = take(root, root)
         while not torch.equal(above, root):
-            root, above = above, above.index_select(0, above)
-        one, two = root.index_select(0, one), root.index_select(0, two)
-        apart = (one != two).nonzero().squeeze(1)
-        one, two = one.index_select(0, apart), two.index_select(0, apart)
-    return ((root == rows).cumsum(0) - 1).index_select(0, root)
+            root, above = above, take(above, above)
+        one, two = take(root, one), take(root, two)
+        apart = true_rows(one != two)
+        one, two = take(one, apart), take(two, apart)
+    return take((root == rows).cumsum(0) - 1, root)
 
 
 def edge_components(pairs: Tensor, count: int) -> Tensor:

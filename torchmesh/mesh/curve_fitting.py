@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .curves import BoundaryCurves
-from .ragged import offsets_from_counts, owner_of, spread
+from .ragged import offsets_from_counts, owner_of, spread, true_rows
 from .triangle import arctangent
 
 # Turns below this many radians are rounding: the curve is straight there.
@@ -42,7 +42,7 @@ def fit_curves(
     degree = torch.bincount(tail, minlength=count)
     one = torch.full_like(both, len(tail)).scatter_reduce_(0, tail, darts, "amin")
     inner = may_slide & (degree == 2)
-    vertex = inner.nonzero().squeeze(1)
+    vertex = true_rows(inner)
     turn, straight, corner = _bends(points, head[one[vertex]], vertex, head[both[vertex] - one[vertex]], corner_angle)
     slider = inner & ~corner
     following = torch.where(slider[head], both[head] - twin, -1)
@@ -74,7 +74,7 @@ def _chains(
     """
     start, rank = _walks(following, twin)
     # Each chain is walked in both directions: the one that starts from the lower dart counts.
-    kept = ((start < start[twin]) & wanted).nonzero().squeeze(1)
+    kept = true_rows((start < start[twin]) & wanted)
     mesh = owner_of(tail[kept], point_offsets)
     order = rank[kept].argsort(stable=True)
     order = order[start[kept[order]].argsort(stable=True)]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from .ragged import counts_from_offsets, offsets_from_counts, spread
+from .ragged import counts_from_offsets, offsets_from_counts, spread, true_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class BoundaryCurves:
     @property
     def chain_offsets(self) -> Tensor:
         """(C+1,) int64 the stations of each chain."""
-        starts = (self.first == torch.arange(len(self.first), device=self.first.device)).nonzero().squeeze(1)
+        starts = true_rows(self.first == torch.arange(len(self.first), device=self.first.device))
         return torch.cat([starts, self.offsets[-1:]])
 
     def packed(self, centre: Tensor, unit: Tensor) -> "BoundaryCurves":

@@ -15,6 +15,8 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
+from ..kernels.library import library_for
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
@@ -47,6 +49,15 @@ def without_autograd(verb: Callable[_P, _R]) -> Callable[_P, _R]:
             _thread.inside = before
 
     return plain
+
+
+def loops_may_read(values: Tensor) -> bool:
+    """Whether the compiled loops are in use and may read the memory of `values`.
+
+    Only inside a function that computes with plain numbers is this sure: elsewhere autograd, torch.compile or a
+    transform of torch.func may want to see every operation.
+    """
+    return _thread.inside and not values.requires_grad and library_for(values) is not None
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from .batch import MeshBatch
 from .kept_edges import constrained_half_edges
+from .ragged import true_rows
 
 
 def frozen_triangles(batch: MeshBatch, stays: Tensor | None = None) -> Tensor:
@@ -17,7 +18,7 @@ def frozen_triangles(batch: MeshBatch, stays: Tensor | None = None) -> Tensor:
     frozen = torch.zeros(len(batch.triangles), dtype=torch.bool, device=batch.triangles.device)
     if not len(batch.constrained_edges) and not len(batch.quads):
         return frozen
-    rows = (batch.fixed if stays is None else stays)[batch.triangles].all(1).nonzero().squeeze(1)
+    rows = true_rows((batch.fixed if stays is None else stays)[batch.triangles].all(1))
     if not len(rows):
         return frozen
     constrained = constrained_half_edges(batch).reshape(-1, 3)[rows]

@@ -1,12 +1,16 @@
 """Values of triangles and edges summed up and averaged at the vertices, and back."""
 
+import functools
+
 import torch
 from torch import Tensor
 
-from ..kernels import packing
+from ..kernels import packing, ragged
 from ..kernels.library import library_for
 from .batch import MeshBatch
 from .connectivity import edges, vertex_triangle_counts
+from .detached import loops_may_read
+from .ragged import take
 from .triangle import corners, squared_edge_lengths
 
 
@@ -35,20 +39,33 @@ class Means:
     """Means from vertices to triangles and back, many times over the same triangles."""
 
     def __init__(self, batch: MeshBatch) -> None:
-        self.corners = [v.contiguous() for v in batch.triangles.unbind(1)]
+        self.triangles = batch.triangles.contiguous()
         self.count = vertex_triangle_counts(batch.triangles, len(batch.points)).clamp_min(1)
+
+    @functools.cached_property
+    def _corners(self) -> tuple[Tensor, ...]:
+        return tuple(v.contiguous() for v in self.triangles.unbind(1))
 
     def of_corners(self, values: Tensor) -> Tensor:
         """(T,) the mean of `values` (V,) over each triangle's corners."""
-        a, b, c = (values.index_select(0, v) for v in self.corners)
+        if _plain_numbers(values):
+            return ragged.means_of_corners(self.triangles, values.contiguous())
+        a, b, c = (take(values, v) for v in self._corners)
         return a.add_(b).add_(c).div_(3)
 
     def round_vertices(self, values: Tensor) -> Tensor:
         """(V,) the mean of `values` (T,) over the triangles round each vertex; 0 for unused ones."""
+        if _plain_numbers(values):
+            return ragged.means_round_vertices(self.triangles, values.contiguous(), self.count)
         total = values.new_zeros(len(self.count))
-        for v in self.corners:
+        for v in self._corners:
             total.index_add_(0, v, values)
         return total.div_(self.count)
+
+
+def _plain_numbers(values: Tensor) -> bool:
+    """Whether the compiled loops can do it: one number a row, in double precision."""
+    return values.ndim == 1 and values.dtype == torch.float64 and loops_may_read(values)
 
 
 def vertex_size(batch: MeshBatch) -> Tensor:

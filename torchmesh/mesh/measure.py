@@ -16,7 +16,17 @@ from .batch import MeshBatch
 from .predicates import orientation, orientation_by_products
 from .quadrilateral import quad_corners
 from .quads import HALVES, has_quads, inverted_quads
-from .ragged import counts_from_offsets, owner_of, segment_count, segment_max, segment_min, segment_sum
+from .ragged import (
+    counts_from_offsets,
+    owner_of,
+    put_rows,
+    segment_count,
+    segment_max,
+    segment_min,
+    segment_sum,
+    take,
+    true_rows,
+)
 from .triangle import angles, corners
 
 # What a batch without quads has for them, once for all.
@@ -53,13 +63,13 @@ def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) ->
 
     known  the batch as it was, and its quality then: only what changed since is measured
     """
-    rows = None if known is None or len(batch.quads) else _changed(known[0], batch)
+    rows = None if known is None or len(batch.quads) or _is_soon_measured(batch) else _changed(known[0], batch)
     if known is None or rows is None or 2 * len(rows) > len(batch.triangles):
         area, ratio, upright = _measure(batch.points, batch.triangles)
     else:
-        some = _measure(batch.points, batch.triangles.index_select(0, rows))
+        some = _measure(batch.points, take(batch.triangles, rows))
         whole = known[1].area, known[1].inverse_mean_ratio, known[1].upright
-        area, ratio, upright = (old.index_copy(0, rows, new) for old, new in zip(whole, some, strict=True))
+        area, ratio, upright = (put_rows(old, rows, new) for old, new in zip(whole, some, strict=True))
     offsets = batch.triangle_offsets
     if len(batch.quads):
         return _with_quads(batch, area, ratio, upright)
@@ -118,6 +128,14 @@ def _measure(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]
     return area, ratio, orientation_by_products(left, right, t) > 0
 
 
+# The compiled loop measures so many triangles in the time that it takes to find those that changed.
+_FEW = 16_384
+
+
+def _is_soon_measured(batch: MeshBatch) -> bool:
+    return len(batch.triangles) <= _FEW and library_for(batch.points) is not None
+
+
 def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
     """The triangles that have other corners than before, or whose corners moved; None: most, or others altogether."""
     for old, new in ((before.point_offsets, after.point_offsets), (before.triangle_offsets, after.triangle_offsets)):
@@ -132,7 +150,7 @@ def _changed(before: MeshBatch, after: MeshBatch) -> Tensor | None:
     if after.triangles is not before.triangles:
         for old, new in zip(before.triangles.unbind(1), after.triangles.unbind(1), strict=True):
             changed |= old != new
-    return changed.nonzero().squeeze(1)
+    return true_rows(changed)
 
 
 def shapes(batch: MeshBatch) -> tuple[Tensor, Tensor]:
@@ -158,7 +176,7 @@ def smallest_angles(batch: MeshBatch, rows: Tensor | None = None) -> Tensor:
     A triangle that stands for a quad has two thirds of how near a corner of it comes to 0 or 180 degrees, so that it
     has 60 degrees at best, as any triangle does.
     """
-    faces = batch.triangles if rows is None else batch.triangles.index_select(0, rows)
+    faces = batch.triangles if rows is None else take(batch.triangles, rows)
     angle = _shapes(batch.points, faces)[0]
     if batch.rows_per_quad != HALVES:
         return angle

@@ -7,6 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .ragged import true_rows
+
 
 def numbers_of(index: Any, count: int, device: torch.device | str = "cpu") -> Tensor:
     """(M,) int64 the numbers, from 0, of the meshes that `index` names among `count`.
@@ -32,7 +34,7 @@ def numbers_of(index: Any, count: int, device: torch.device | str = "cpu") -> Te
     if wanted.dtype == torch.bool:
         if len(wanted) != count:
             raise IndexError(f"there are {count} meshes, and the mask has {len(wanted)} entries")
-        return wanted.nonzero().squeeze(1)
+        return true_rows(wanted)
     # An empty list comes as an array of floating-point numbers.
     if len(wanted) and (wanted.is_floating_point() or wanted.is_complex()):
         raise TypeError(f"meshes are taken by whole numbers or booleans, not by {wanted.dtype}")

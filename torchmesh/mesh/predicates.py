@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..kernels.library import library_for
 from ..kernels.signs import incircle_signs, orientation_signs
+from .ragged import true_rows
 
 _EPSILON = 2.0**-53
 
@@ -71,7 +72,7 @@ def _decide(
     # Not where anything has overflowed, as no number is above infinity; NaN is above none.
     sure = determinant.abs() > (magnitude * bound).clamp_min_(_UNDERFLOW)
     sign = determinant.sign().to(torch.int8)
-    unsure = (~sure).nonzero().squeeze(1)
+    unsure = true_rows(~sure)
     if len(unsure):
         few = [r[unsure] for r in rows]
         finite = torch.stack(few).isfinite().all(0)
@@ -88,7 +89,7 @@ def _exact_orientation(rows: list[Tensor]) -> Tensor:
     # Rounding keeps the sign of a difference, so products of unlike sign need no further digits.
     left, right = (bx - ax).sign() * (cy - ay).sign(), (by - ay).sign() * (cx - ax).sign()
     sign = (left - right).sign().to(torch.int8)
-    alike = ((left == right) & (left != 0)).nonzero().squeeze(1)
+    alike = true_rows((left == right) & (left != 0))
     if len(alike):
         iax, iay, ibx, iby, icx, icy = _integers([r[alike] for r in rows])
         sign[alike] = _signs((ibx - iax) * (icy - iay) - (iby - iay) * (icx - iax)).to(sign.device)

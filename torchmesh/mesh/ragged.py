@@ -12,6 +12,34 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from ..kernels import ragged
+from .detached import loops_may_read
+
+# Of fewer rows than this, torch takes less time than a call of a compiled loop costs.
+_MANY = 1024
+
+
+def true_rows(flags: Tensor) -> Tensor:
+    """(N,) bool to (M,) int64: the rows whose flag is set, in their order."""
+    many = flags.numel() >= _MANY and loops_may_read(flags)
+    return ragged.true_rows(flags) if many else flags.nonzero().squeeze(1)
+
+
+def take(values: Tensor, rows: Tensor) -> Tensor:
+    """(M, ...) the `rows` (M,) int64 of `values` (N, ...); none may be negative."""
+    # Single numbers are taken by torch in the same time.
+    many = values.ndim > 1 and rows.numel() >= _MANY and rows.dtype == torch.int64 and loops_may_read(values)
+    return ragged.take(values, rows) if many else values.index_select(0, rows)
+
+
+def put_rows(values: Tensor, rows: Tensor, part: Tensor) -> Tensor:
+    """(N, ...) a copy of `values` with the `rows` (M,) int64 replaced by `part` (M, ...).
+
+    Each row is named once; none may be negative.
+    """
+    many = rows.numel() >= _MANY and part.dtype == values.dtype and loops_may_read(values)
+    return ragged.put_rows(values, rows, part) if many else values.index_copy(0, rows, part)
+
 
 def offsets_from_counts(counts: Tensor) -> Tensor:
     """(B,) row counts to (B+1,) int64 offsets."""
@@ -34,6 +62,8 @@ def spread(per_mesh: Tensor, offsets: Tensor) -> Tensor:
     if len(per_mesh) == 1:
         # Most batches are of one mesh, and a copy of a number takes less time than to look for its place.
         return per_mesh.expand(int(offsets[1]), *per_mesh.shape[1:]).contiguous()
+    if loops_may_read(per_mesh):
+        return ragged.spread(per_mesh, offsets)
     return per_mesh.repeat_interleave(counts_from_offsets(offsets), dim=0)
 
 
@@ -44,15 +74,25 @@ def owner_of(rows: Tensor, offsets: Tensor) -> Tensor:
 
 def rows_of(keep: Tensor, offsets: Tensor) -> Tensor:
     """(B,) bool to (N,) int64: the rows of the meshes kept, in their order."""
-    return spread(keep, offsets).nonzero().squeeze(1)
+    return true_rows(spread(keep, offsets))
 
 
 def rows_of_each(meshes: Tensor, offsets: Tensor) -> Tensor:
     """(M,) int64 to (N,) int64: the rows of the `meshes`, one mesh after the other, each as often as it is named."""
+    if loops_may_read(meshes):
+        return ragged.rows_of_each(meshes, offsets)
     counts = counts_from_offsets(offsets)[meshes]
     ends = offsets_from_counts(counts)
     shift = offsets[:-1][meshes] - ends[:-1]
     return torch.arange(int(ends[-1]), device=meshes.device) + shift.repeat_interleave(counts)
+
+
+def shifted(numbers: Tensor, by: Tensor, offsets: Tensor) -> Tensor:
+    """(N, ...) int64 the `numbers` of rows with the shift `by` (B,) of their mesh added; -1, which is none, stays."""
+    if loops_may_read(numbers):
+        return ragged.shifted(numbers, by, offsets)
+    shift = spread(by, offsets).reshape(-1, *[1] * (numbers.ndim - 1))
+    return torch.where(numbers < 0, numbers, numbers + shift)
 
 
 def segment_sum(values: Tensor, offsets: Tensor) -> Tensor:
@@ -74,6 +114,8 @@ def segment_count(flags: Tensor, offsets: Tensor) -> Tensor:
     """(N,) bool rows to the (B,) int64 number that are true."""
     if len(offsets) == 2:
         return flags.sum()[None]
+    if loops_may_read(flags):
+        return ragged.segment_count(flags, offsets)
     totals = torch.nn.functional.pad(flags.to(torch.int64).cumsum(0), (1, 0))
     return totals[offsets[1:]] - totals[offsets[:-1]]
 

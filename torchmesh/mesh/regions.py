@@ -13,6 +13,7 @@ from torch import Tensor
 from . import connectivity
 from .batch import MeshBatch, triangle_mesh
 from .kept_edges import constrained_half_edges
+from .ragged import true_rows
 from .triangle import corners, signed_area
 from .vertex_map import VertexMap
 
@@ -39,7 +40,7 @@ class RegionAreas:
 
     def record(self, b: int) -> list[dict[str, float]]:
         """The areas of the regions of mesh `b`, in the order of their first triangles as given."""
-        rows = (self.mesh == b).nonzero().squeeze(1).tolist()
+        rows = true_rows(self.mesh == b).tolist()
         return [{"before": float(self.before[r]), "after": float(self.after[r])} for r in rows]
 
 
@@ -73,7 +74,7 @@ def _frame(mesh: MeshBatch, vertex_map: VertexMap | None) -> tuple[Tensor, Tenso
     """
     locked = constrained_half_edges(mesh) & (mesh.twin >= 0)
     region = connectivity.triangle_components(mesh.triangles, mesh.twin, locked)
-    h = (locked | (mesh.twin < 0)).nonzero().squeeze(1)
+    h = true_rows(locked | (mesh.twin < 0))
     tail, head = connectivity.tails(mesh.triangles)[h], connectivity.heads(mesh.triangles)[h]
     count = len(mesh.points)
     if vertex_map is not None:

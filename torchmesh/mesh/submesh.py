@@ -15,7 +15,7 @@ from torch import Tensor
 
 from . import connectivity
 from .batch import MeshBatch, constraint_owner
-from .ragged import counts_from_offsets, offsets_from_counts, rows_of_each, spread
+from .ragged import counts_from_offsets, offsets_from_counts, put_rows, rows_of_each, spread, take, true_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Submesh:
         """`batch`, from which the submesh was taken, with the rows of `part`, which `mesh` has become."""
         return replace(
             batch,
-            points=batch.points.index_copy(0, self.vertices, part.points),
-            triangles=batch.triangles.index_copy(0, self.triangles, self.vertices[part.triangles]),
+            points=put_rows(batch.points, self.vertices, part.points),
+            triangles=put_rows(batch.triangles, self.triangles, self.vertices[part.triangles]),
         )
 
 
@@ -54,12 +54,12 @@ def submesh(batch: MeshBatch, triangles: Tensor, vertices: Tensor | None = None)
         triangles, kept = with_both_halves(batch, triangles)
     if vertices is None:
         vertices = connectivity.corners_of(batch.triangles, triangles, len(batch.points))
-    rows, faces = vertices.nonzero().squeeze(1), triangles.nonzero().squeeze(1)
+    rows, faces = true_rows(vertices), true_rows(triangles)
     new_row, new_face = offsets_from_counts(vertices), offsets_from_counts(triangles)
     mesh = MeshBatch(
-        batch.points.index_select(0, rows),
-        new_row[batch.triangles.index_select(0, faces)],
-        batch.fixed.index_select(0, rows),
+        take(batch.points, rows),
+        new_row[take(batch.triangles, faces)],
+        take(batch.fixed, rows),
         new_row[batch.constrained_edges[vertices[batch.constrained_edges].all(1)]],
         new_row[batch.point_offsets],
         new_face[batch.triangle_offsets],
@@ -73,7 +73,7 @@ def submesh(batch: MeshBatch, triangles: Tensor, vertices: Tensor | None = None)
 
 def with_both_halves(batch: MeshBatch, triangles: Tensor) -> tuple[Tensor, Tensor]:
     """The `triangles` (T,) bool with both halves of quads of which one is among them, and (Q,) bool these quads."""
-    rows = batch.of_quads.nonzero().squeeze(1).reshape(-1, batch.rows_per_quad)
+    rows = true_rows(batch.of_quads).reshape(-1, batch.rows_per_quad)
     kept = triangles[rows].any(1)
     return triangles.index_put((rows.reshape(-1),), kept.repeat_interleave(batch.rows_per_quad)), kept
 

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from .batch import MeshBatch
-from .ragged import owner_of, spread
-from .validation import fit_positions
+from .ragged import owner_of, spread, true_rows
+from .validation import fit_on_the_whole, fit_positions
 
 
 def unfit_vertices(batch: MeshBatch) -> Tensor:
@@ -20,8 +20,8 @@ def unfit_vertices(batch: MeshBatch) -> Tensor:
 def unfit_meshes(batch: MeshBatch) -> Tensor:
     """(B,) bool: a corner of some triangle or quad is an unfit vertex.  Vertices without either do not count."""
     unfit = torch.zeros(len(batch), dtype=torch.bool, device=batch.points.device)
-    vertices = unfit_vertices(batch)
-    if bool(vertices.any()):
+    if not fit_on_the_whole(batch.points):
+        vertices = unfit_vertices(batch)
         for faces in (batch.triangles, batch.quads):
             unfit[owner_of(faces[vertices[faces]], batch.point_offsets)] = True
     return unfit
@@ -30,7 +30,7 @@ def unfit_meshes(batch: MeshBatch) -> Tensor:
 def what_is_unfit(batch: MeshBatch, b: int) -> tuple[str, int]:
     """What is to be said of the unfit mesh `b`, and its first unfit vertex, numbered within the mesh."""
     start, end = batch.point_offsets[b : b + 2].tolist()
-    rows = unfit_vertices(batch)[start:end].nonzero().squeeze(1)
+    rows = true_rows(unfit_vertices(batch)[start:end])
     row = int(rows[0])
     position = batch.points[start + row].tolist()
     if bool(batch.points[start + rows].isfinite().all()):
@@ -53,4 +53,4 @@ def on_a_line(batch: MeshBatch, unfit: Tensor) -> tuple[MeshBatch, Tensor]:
     single = unfit_vertices(batch) & ~whole
     points = torch.where(whole[:, None], flat, points)
     points = torch.where(single[:, None], spread(corner, batch.point_offsets), points)
-    return batch.with_points(points), (whole | single).nonzero().squeeze(1)
+    return batch.with_points(points), true_rows(whole | single)

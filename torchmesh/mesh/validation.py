@@ -1,5 +1,6 @@
 """What a mesh must be: arrays as people have them, checked and turned into tensors, or refused with the reason."""
 
+import math
 import warnings
 from typing import Any, NamedTuple
 
@@ -61,6 +62,12 @@ def fit_positions(xyz: Tensor) -> Tensor:
         fit &= xyz.isfinite()
     # A reduction over two columns takes many times as long.
     return fit[:, 0] & fit[:, 1] if xyz.shape[1] == 2 else fit.all(1)
+
+
+def fit_on_the_whole(xyz: Tensor) -> bool:
+    """Whether all points (V, 2) or (V, 3) fit, as `fit_positions` says, in fewer operations."""
+    largest = float(xyz.abs().amax()) if xyz.numel() else 0.0
+    return math.isfinite(largest) and largest <= _LARGEST
 
 
 def checked_positions(xyz: Tensor, faces: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from .batch import MeshBatch, constraint_owner
-from .ragged import counts_from_offsets, offsets_from_counts, segment_ids, spread
+from .ragged import counts_from_offsets, offsets_from_counts, segment_ids, spread, true_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[T
     face_offsets = offsets_from_counts(_counts(batch.triangle_offsets, at, part.triangle_offsets))
     faces = torch.cat([_local(batch), _local(part)])[face] + spread(offsets[:-1], face_offsets)[:, None]
     edges, owners = [], []
-    for mesh, rows in ((batch, torch.arange(len(batch), device=at.device)), (part, at.nonzero().squeeze(1))):
+    for mesh, rows in ((batch, torch.arange(len(batch), device=at.device)), (part, true_rows(at))):
         owner = constraint_owner(mesh)
         stays = ~at[owner] if mesh is batch else torch.ones_like(owner, dtype=torch.bool)
         shift = offsets[rows[owner]] - mesh.point_offsets[owner]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError, MeshWarning
 from . import connectivity
+from .ragged import true_rows
 
 # Each term of an area has three roundings, and the coordinate differences in it have one each; the sum has one a term.
 _ROUNDINGS = 8
@@ -45,7 +46,7 @@ def oriented(points: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
             "an edge may have two triangles at most; "
             "torchmesh clean IN OUT (tm.clean) mends this where a triangle is there twice"
         )
-    pairs = same.nonzero().squeeze(1)
+    pairs = true_rows(same)
     left, right = order[pairs], order[pairs + 1]
     clash = u[left] == u[right]
     twin = torch.full_like(u, -1)
@@ -61,7 +62,7 @@ def oriented(points: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
                 "(a Moebius strip, or a surface with a crosscap): not a planar mesh"
             )
     component = connectivity.triangle_components(faces, twin)
-    boundary = (twin < 0).nonzero().squeeze(1)
+    boundary = true_rows(twin < 0)
     back = turn[boundary // 3]
     tails, heads = torch.where(back, v[boundary], u[boundary]), torch.where(back, u[boundary], v[boundary])
     sign = enclosed_signs(points, torch.stack([tails, heads], 1), component[boundary // 3], int(component.max()) + 1)

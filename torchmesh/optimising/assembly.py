@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..mesh.ragged import take
 from .energies import Energy
 from .jacobian import (
     EdgeMap,
@@ -41,7 +42,7 @@ class Chunk(NamedTuple):
 
     def edges_at(self, coordinates: Tensor) -> Tensor:
         """(2, 2, T) x and y of e1 and of e2, as they are seen."""
-        corner = coordinates.index_select(0, self.rows).view(3, 2, -1)
+        corner = take(coordinates, self.rows).view(3, 2, -1)
         edges = corner[1:] - corner[0]
         if self.edges is not None:
             edges.add_(self.edges)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..mesh.ragged import offsets_from_counts
+from ..mesh.ragged import offsets_from_counts, take
 
 # The usual width: a few per cent of padding for meshes of a thousand vertices.
 BLOCK = 128
@@ -42,7 +42,7 @@ class Blocks(NamedTuple):
 
     def spread(self, per_problem: Tensor) -> Tensor:
         """(B,) one value a problem to (K, 1) one a block."""
-        return per_problem.index_select(0, self.owner)[:, None]
+        return take(per_problem, self.owner)[:, None]
 
     def sum(self, per_block: Tensor) -> Tensor:
         """(K, ...) to the sums (B, ...) over each problem's blocks."""

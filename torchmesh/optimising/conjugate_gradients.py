@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..mesh.ragged import segment_ids, segment_sum
+from ..mesh.ragged import segment_ids, segment_sum, take
 
 # To ask another device whether all systems are solved takes longer than some steps that change nothing.
 _STEPS_BETWEEN_LOOKS = 8
@@ -84,18 +84,18 @@ class Systems:
         curvature = self._dot(now.direction, image)
         moves = curvature > 0 if running is None else running & (curvature > 0)
         length = torch.where(moves, now.power / curvature, 0.0)
-        along = length.index_select(0, self.owner)
+        along = take(length, self.owner)
         # Not `torch.addcmul`, which rounds once where these round twice: `improve` promises its bits.
         x = now.x + along * now.direction
         residual = now.residual - along * image
         short = residual / self.diagonal
         power = self._dot(residual, short)
-        again = torch.where(now.power > 0, power / now.power, 0.0).index_select(0, self.owner)
+        again = take(torch.where(now.power > 0, power / now.power, 0.0), self.owner)
         return Iterate(x, residual, short + again * now.direction, power, length)
 
     def select(self, now: Iterate, keep: Tensor) -> Iterate:
         """Of an iterate the systems `keep` (B,) bool."""
-        rows = keep.index_select(0, self.owner)
+        rows = take(keep, self.owner)
         return Iterate(now.x[rows], now.residual[rows], now.direction[rows], now.power[keep], now.length[keep])
 
     def _dot(self, u: Tensor, v: Tensor) -> Tensor:

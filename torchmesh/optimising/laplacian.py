@@ -10,6 +10,7 @@ from torch import Tensor
 from ..kernels import cholesky, stiffness
 from ..kernels.library import library_for
 from ..kernels.stiffness import CompressedRows
+from ..mesh.ragged import take, true_rows
 from ..mesh.triangle import Corners, signed_area
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ class InnerStiffness:
         row = (~known).cumsum(0) - 1
         # The triangles at an unknown vertex close round it, so each neighbour is the head of one half-edge from it.
         tail, head = triangles.reshape(-1), triangles.roll(-1, 1).reshape(-1)
-        out = (~known)[tail].nonzero().squeeze(1)
+        out = true_rows((~known)[tail])
         tail, head, weight = row[tail[out]], head[out], weight[out]
         size = int((~known).sum())
         total = weight.new_zeros(size).index_add_(0, tail, weight)
@@ -230,7 +231,7 @@ class InnerStiffness:
     def __matmul__(self, u: Tensor) -> Tensor:
         """(I,) the product of K_II with u (I,)."""
         row, column, weight = self.inner
-        return (self.total * u).index_add_(0, row, weight * u.index_select(0, column), alpha=-1)
+        return (self.total * u).index_add_(0, row, weight * take(u, column), alpha=-1)
 
     def diagonal(self) -> Tensor:
         """(I,) the diagonal of K_II."""
@@ -239,4 +240,4 @@ class InnerStiffness:
     def load(self, values: Tensor) -> Tensor:
         """(I,) -K_IB x_B, where x_B are the known rows of `values` (V,)."""
         row, vertex, weight = self.outer
-        return torch.zeros_like(self.total).index_add_(0, row, weight * values.index_select(0, vertex))
+        return torch.zeros_like(self.total).index_add_(0, row, weight * take(values, vertex))

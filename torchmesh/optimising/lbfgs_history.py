@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..mesh.ragged import take
 from .blocks import Blocks
 
 # Numerical floor of a gradient's size in a quotient.
@@ -116,7 +117,7 @@ class History:
         a = _batched(self.sy[:, None] * w + gamma * (_batched(w, self.yy) - yg), self.inverse)
         weights = torch.cat([a, -gamma * w], 2).squeeze(1)
         weights = -torch.cat([weights, self.gamma[:, None]], 1)
-        row = weights.to(self.vectors).index_select(0, self.blocks.owner)
+        row = take(weights.to(self.vectors), self.blocks.owner)
         return _batched(row[:, None], self.vectors).squeeze(1), (weights * self.products).sum(1)
 
     def forget(self, lost: Tensor) -> None:

@@ -19,7 +19,8 @@ from ..kernels.continuation import CompiledTurns
 from ..kernels.energies import PackedTriangles, energies
 from ..kernels.library import library_for
 from ..kernels.minimiser import minimise_meshes
-from ..kernels.packing import packed
+from ..kernels.packing import packed, scattered, unpacked
+from ..mesh.detached import loops_may_read
 from ..mesh.ragged import (
     counts_from_offsets,
     offsets_from_counts,
@@ -28,6 +29,8 @@ from ..mesh.ragged import (
     segment_min,
     segment_sum,
     spread,
+    take,
+    true_rows,
 )
 from ..mesh.units import centre_and_unit
 from .assembly import Chunk, chunk_offsets, chunks_of, energy_and_forces
@@ -76,20 +79,24 @@ class Packing:
 
     def spread_vertices(self, values: Tensor) -> Tensor:
         """Values per vertex (V,) as values per unknown (N,), which are zero in the padding."""
+        if loops_may_read(values) and values.dtype == torch.float64:
+            return scattered(values, self.vertices, self.x_rows, self.y_rows, self.unknowns)
         out = torch.zeros_like(self.unknowns)
         out[self.x_rows] = out[self.y_rows] = values[self.vertices].to(out)
         return out
 
     def unpack(self, unknowns: Tensor, points: Tensor) -> Tensor:
         """(V, 2) a copy of `points` with the free vertices at the positions that `unknowns` (N,) gives them."""
+        if loops_may_read(points) and points.dtype == torch.float64:
+            return unpacked(self, unknowns, points)
         moved = points.clone()
         unit, centre = self.unit[self.point_mesh], self.centre[self.point_mesh]
         for axis, rows in enumerate((self.x_rows, self.y_rows)):
-            now, before = unknowns.index_select(0, rows), points[self.vertices, axis]
+            now, before = take(unknowns, rows), points[self.vertices, axis]
             origin = centre[:, axis] if self.edges is None else before.to(unit)
             there = torch.addcmul(origin, now.to(unit), unit).to(points)
             # Centring and undoing it may change the last bits, so vertices that did not move keep theirs.
-            still = now == self.unknowns.index_select(0, rows)
+            still = now == take(self.unknowns, rows)
             moved[self.vertices, axis] = torch.where(still, before, there)
         return moved
 
@@ -119,7 +126,7 @@ def pack(
     points = (points.to(torch.float64) - spread(centre, point_offsets)) / spread(unit, point_offsets)[:, None]
     x, y = points[:, 0].contiguous(), points[:, 1].contiguous()
     touched, kept, corner = _touched(triangles, free)
-    vertices = free.nonzero().squeeze(1)
+    vertices = true_rows(free)
     layout = _Layout.of(segment_count(free, point_offsets), len(vertices), block)
     anchors = _anchors(free, corner)
     unknowns = points.new_zeros(layout.size)
@@ -143,7 +150,7 @@ def _touched(triangles: Tensor, free: Tensor) -> tuple[Tensor, Tensor, list[Tens
     corner = [v.contiguous() for v in triangles.unbind(1)]
     a, b, c = (torch.index_select(free, 0, v) for v in corner)
     touched = a | b | c
-    kept = touched.nonzero().squeeze(1)
+    kept = true_rows(touched)
     if len(kept) < len(triangles):
         corner = [torch.index_select(v, 0, kept) for v in corner]
     return touched, kept, corner
@@ -155,7 +162,7 @@ def _anchors(free: Tensor, corner: list[Tensor]) -> Tensor:
     for v in corner:
         needed.index_fill_(0, v, True)
     needed &= ~free
-    return needed.nonzero().squeeze(1)
+    return true_rows(needed)
 
 
 def _single_edges(x: Tensor, y: Tensor, corner: list[Tensor]) -> Tensor:

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
+from ..mesh.ragged import true_rows
 from .mutable import Editable, all_upright, fan_quality, independent, length, within_budget
 
 # How often a round chooses among the collapses that are still possible; each choice leaves about a third of them.
@@ -54,7 +55,7 @@ def proposals(e: Editable, edge: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns half-edges (N,), whose tails would be removed, and for each of them the row of its edge (N,).
     """
-    owner = (e.twin[edge] >= 0).nonzero().squeeze(1)
+    owner = true_rows(e.twin[edge] >= 0)
     here, there = edge[owner], e.twin[edge[owner]]
     loose, also = ~e.fixed[e.vertex[here]], ~e.fixed[e.vertex[there]]
     return torch.cat([here[loose], there[also]]), torch.cat([owner[loose], owner[also]])
@@ -67,7 +68,7 @@ def evaluate(e: Editable, h: Tensor) -> Outcome:
     there = out >= 0
     a, b = e.head(out), e.vertex[previous_in_triangle(out)]
     kept = there & (a != w[:, None]) & (b != w[:, None])
-    boundary = ((e.twin < 0) & (e.vertex >= 0)).nonzero().squeeze(1)
+    boundary = true_rows((e.twin < 0) & (e.vertex >= 0))
     fans, last = torch.bincount(e.vertex[boundary], minlength=len(e.x)), torch.full_like(e.mesh, -1)
     # A boundary vertex has one neighbour that is the head of none of its half-edges.
     last[e.head(boundary)] = e.vertex[boundary]
@@ -177,7 +178,7 @@ def collapse_rounds(
 def _asked(e: Editable, edge: Tensor, wish: Wish) -> tuple[Tensor, Tensor]:
     """Those of the edges (M,) that want most to be collapsed at one of their ends, and their keys, lowest first."""
     want = wish(edge)
-    asked = want.isfinite().nonzero().squeeze(1)
+    asked = true_rows(want.isfinite())
     edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
     first = _first_at_an_end(e, edge, key)
     return edge[first], key[first]
@@ -193,7 +194,7 @@ def _chosen(e: Editable, edge: Tensor, key: Tensor, judge: Judge, asleep: Tensor
     h, owner = proposals(e, edge)
     outcome = evaluate(e, h)
     asleep[edge] = True
-    rows = (judge(outcome) & outcome.after.isfinite()).nonzero().squeeze(1)
+    rows = true_rows(judge(outcome) & outcome.after.isfinite())
     rows = rows[_best_of_each(owner[rows], outcome.after[rows], len(edge))]
     asleep[edge[owner[rows]]] = False
     rows = rows[_apart(e.vertex[h[rows]], outcome.claims[rows], key[owner[rows]], len(e.x))]
@@ -227,7 +228,7 @@ def _first_at_an_end(e: Editable, edge: Tensor, key: Tensor) -> Tensor:
 def _best_of_each(owner: Tensor, value: Tensor, count: int) -> Tensor:
     """(N,) bool: for each owner its row of lowest value, and the first of several such."""
     best = value.new_full((count,), torch.inf).scatter_reduce_(0, owner, value, "amin")
-    level = (value == best[owner]).nonzero().squeeze(1)
+    level = true_rows(value == best[owner])
     first = torch.full((count,), len(owner), dtype=torch.int64, device=owner.device)
     first.scatter_reduce_(0, owner[level], level, "amin")
     rows = torch.arange(len(owner), device=owner.device)

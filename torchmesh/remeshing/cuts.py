@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import triangle_mesh
-from ..mesh.ragged import spread
+from ..mesh.ragged import put_rows, spread, true_rows
 from ..mesh.units import centre_and_unit
 from .collapses import Judge, Outcome, collapse_rounds
 from .collapses import Wish as CollapseWish
@@ -116,11 +116,11 @@ def too_long(e: Editable, limit: float, worst: float) -> SplitWish:
 
     def wish(h: Tensor) -> tuple[Tensor, Tensor]:
         ratio = e.relative_length(h)
-        long = (ratio > limit).nonzero().squeeze(1)
+        long = true_rows(ratio > limit)
         before, after = worst_after(e, h[long])
         wanted = torch.zeros(len(h), dtype=torch.bool, device=h.device)
         wanted[long] = after <= before.clamp_min(worst)
-        return wanted, torch.zeros_like(h).index_copy(0, long, e.shuffled(h[long], -ratio[long]))
+        return wanted, put_rows(torch.zeros_like(h), long, e.shuffled(h[long], -ratio[long]))
 
     return wish
 
@@ -153,8 +153,8 @@ def freed_rows(face_mesh: Tensor) -> Room:
         counts = torch.bincount(owner, minlength=e.meshes)
         turn = torch.empty_like(order)
         turn[order] = torch.arange(len(h), device=h.device) - (counts.cumsum(0) - counts)[owner[order]]
-        vertices = (~e.alive).nonzero().squeeze(1)
-        faces = (e.triangles[:, 0] < 0).nonzero().squeeze(1)
+        vertices = true_rows(~e.alive)
+        faces = true_rows(e.triangles[:, 0] < 0)
         first_vertex = torch.searchsorted(e.mesh[vertices].contiguous(), owner)
         first_face = torch.searchsorted(face_mesh[faces].contiguous(), owner)
         pair = first_face + 2 * turn

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from ..mesh.predicates import orientation
+from ..mesh.ragged import true_rows
 from ..mesh.triangle import SQRT3
 
 # Ranks that differ by less than an eighth count as equal in `shuffled`.
@@ -64,7 +65,7 @@ class Editable:
     def edges(self) -> Tensor:
         """The living edges, each once, as its lower half-edge, ascending."""
         h = torch.arange(len(self.twin), device=self.twin.device)
-        return (((self.twin < 0) | (h < self.twin)) & (self.vertex >= 0)).nonzero().squeeze(1)
+        return true_rows(((self.twin < 0) | (h < self.twin)) & (self.vertex >= 0))
 
     def head(self, h: Tensor) -> Tensor:
         """The vertex each half-edge runs to."""
@@ -105,7 +106,7 @@ class Editable:
         # The last entry stands for the -1 of dead triangles.
         asked = torch.zeros(len(self.x) + 1, dtype=torch.bool, device=v.device)
         asked[v] = True
-        h = asked[self.vertex].nonzero().squeeze(1)
+        h = true_rows(asked[self.vertex])
         h = h[self.vertex[h].argsort(stable=True)]
         count = torch.bincount(self.vertex[h], minlength=len(self.x))
         column = torch.arange(max(1, int(count.max())), device=v.device)
@@ -241,14 +242,14 @@ def compact(e: Editable) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     are not on the boundary (K, 2), and the vertices and triangles of each mesh (B,).
     Within a mesh rows keep their order.
     """
-    kept = e.alive.nonzero().squeeze(1)
+    kept = true_rows(e.alive)
     kept = kept[e.mesh[kept].argsort(stable=True)]
     new = torch.full_like(e.mesh, -1)
     new[kept] = torch.arange(len(kept), device=kept.device)
     faces = e.triangles[e.triangles[:, 0] >= 0]
     owner = e.mesh[faces[:, 0]]
     faces = new[faces[owner.argsort(stable=True)]]
-    h = ((e.vertex >= 0) & e.locked & (e.twin >= 0)).nonzero().squeeze(1)
+    h = true_rows((e.vertex >= 0) & e.locked & (e.twin >= 0))
     h = h[h < e.twin[h]]
     edges = new[torch.stack([e.vertex[h], e.head(h)], 1)]
     edges = edges[e.mesh[e.vertex[h]].argsort(stable=True)]

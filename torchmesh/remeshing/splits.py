@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from ..mesh.predicates import orientation
+from ..mesh.ragged import true_rows
 from .mutable import Editable, fan_quality, independent, within_budget
 
 # Which of the half-edges (M,) to split, (M,) bool, and their rank (M,); those of lowest rank are split first.
@@ -29,7 +30,7 @@ def splittable(e: Editable, h: Tensor, allow_fixed: bool) -> Tensor:
     mx, my = e.middle(h)
     for side in (h, g):
         there = (side >= 0) & may
-        rows = there.nonzero().squeeze(1)
+        rows = true_rows(there)
         start = side[rows]
         u, w, s = e.vertex[start], e.head(start), e.vertex[previous_in_triangle(start)]
         sx, sy = e.x[s], e.y[s]
@@ -67,7 +68,7 @@ def split(e: Editable, h: Tensor, new: Tensor, rows: Tensor) -> None:
     g, lock = e.twin[h], e.locked[h]
     _put_in_the_middle(e, h, new)
     e.fixed[new] = lock | (g < 0)
-    inner = (g >= 0).nonzero().squeeze(1)
+    inner = true_rows(g >= 0)
     start, slot, middle = torch.cat([h, g[inner]]), torch.cat([rows[0], rows[1, inner]]), torch.cat([new, new[inner]])
     _halve_triangles(e, start, 3 * slot, middle)
     e.twin[h] = e.twin[3 * rows[0]] = -1
@@ -145,7 +146,7 @@ def split_rounds(
             break
         chosen = first_in_their_triangles(e, edge, rank)
         if budget is not None:
-            rows = chosen.nonzero().squeeze(1)
+            rows = true_rows(chosen)
             chosen[rows] = within_budget(e.mesh[e.vertex[edge[rows]]], rank[rows], budget - total)
         awake = torch.zeros_like(awake)
         awake[e.vertex[edge[~chosen]]] = True

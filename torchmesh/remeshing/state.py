@@ -18,7 +18,7 @@ from ..mesh.batch import MeshBatch, vertex_mesh
 from ..mesh.interfaces import Interfaces, interface_vertices
 from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import Quality, quality
-from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
+from ..mesh.ragged import counts_from_offsets, offsets_from_counts, put_rows, spread, true_rows
 from ..mesh.units import centre_and_unit
 from ..mesh.vertex_map import Names, exchange
 from .metric_sizing import metric_quality
@@ -118,14 +118,14 @@ class RemeshState:
         if self.metric is not None and part.metric is not None:
             pairs.append((self.metric, part.metric))
         batch, size, of, *metric = exchange(self.batch, at, part.batch, pairs)
-        row = at.nonzero().squeeze(1)
+        row = true_rows(at)
         return replace(
             self,
             batch=batch,
             size=size,
             names=self.names.later(part.names).renamed(of),
             metric=metric[0] if metric else None,
-            **{name: getattr(self, name).index_copy(0, row, getattr(part, name)) for name in _COUNTS},
+            **{name: put_rows(getattr(self, name), row, getattr(part, name)) for name in _COUNTS},
         )
 
     def released(self, given: MeshBatch, begun: "RemeshState") -> MeshBatch:

@@ -22,6 +22,7 @@ from ..mesh.batch import MeshBatch, put
 from ..mesh.interfaces import holding
 from ..mesh.measure import quality
 from ..mesh.predicates import orientation
+from ..mesh.ragged import true_rows
 from ..mesh.vertex_map import Names
 from ..untangling.retriangulation import retriangulate_cavities
 from .collapses import collapse
@@ -111,7 +112,7 @@ def _candidates(e: Editable) -> tuple[Tensor, Tensor, Tensor]:
     near = torch.zeros_like(e.alive)
     near[e.triangles[inverted(e)].reshape(-1)] = True
     near &= ~e.fixed
-    h = ((e.vertex >= 0) & near[e.vertex.clamp_min(0)] & (e.twin >= 0)).nonzero().squeeze(1)
+    h = true_rows((e.vertex >= 0) & near[e.vertex.clamp_min(0)] & (e.twin >= 0))
     u, w = e.vertex[h], e.head(h)
     degree = e.degree()
     ring, closed = neighbours(e.vertex, e.twin, h)
@@ -120,7 +121,7 @@ def _candidates(e: Editable) -> tuple[Tensor, Tensor, Tensor]:
     # A vertex where several fans meet has more triangles than the walk has seen.
     whole = closed & (count == degree[u]) & (count_other - (~closed_other).long() == degree[w]) & (count > 2)
     common = ((ring[:, :, None] == other[:, None, :]) & (ring >= 0)[:, :, None]).sum((1, 2))
-    rows = (whole & (common == 2)).nonzero().squeeze(1)
+    rows = true_rows(whole & (common == 2))
     h, u, w, ring, count = h[rows], u[rows], w[rows], ring[rows], count[rows]
     column = torch.arange(ring.shape[1], device=h.device)[None]
     there, last = column < count[:, None], column == count[:, None] - 1

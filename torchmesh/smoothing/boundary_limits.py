@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import next_in_triangle
+from ..mesh.ragged import take, true_rows
 from ..mesh.triangle import SQRT3
 
 # A fan of more triangles than this has an angle of less than 15 degrees.
@@ -37,7 +38,7 @@ def fan_limits(batch: MeshBatch, complete: Tensor) -> tuple[Tensor, Tensor]:
     """
     angle_limit = torch.full((len(batch.points),), torch.inf, dtype=torch.float64, device=complete.device)
     ratio_limit = torch.ones_like(angle_limit)
-    out = (batch.twin < 0).nonzero().squeeze(1)
+    out = true_rows(batch.twin < 0)
     vertex = batch.triangles.reshape(-1)
     number = torch.bincount(vertex[out], minlength=len(angle_limit))
     # The vertex before each along the boundary.
@@ -63,8 +64,8 @@ def asked_of(
     share         where the boundary allows less than that, this part of what it allows suffices
     """
     corner = [v.contiguous() for v in batch.triangles.unbind(1)]
-    least = torch.stack([limits[0].index_select(0, v) for v in corner]).amin(0)
-    most = torch.stack([limits[1].index_select(0, v) for v in corner]).amax(0)
+    least = torch.stack([take(limits[0], v) for v in corner]).amin(0)
+    most = torch.stack([take(limits[1], v) for v in corner]).amax(0)
     return torch.where(least < angle, share * least, angle), torch.where(most > ratio, most / share, ratio)
 
 

@@ -14,7 +14,7 @@ from ..flipping.rules import Quads, new_signs
 from ..mesh.batch import MeshBatch, join, triangle_mesh
 from ..mesh.connectivity import next_in_triangle, previous_in_triangle
 from ..mesh.kept_edges import constrained_half_edges
-from ..mesh.ragged import offsets_from_counts
+from ..mesh.ragged import offsets_from_counts, take, true_rows
 from ..mesh.submesh import repeated
 
 
@@ -23,7 +23,7 @@ def seeds_of(batch: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor
 
     angle  (T,) the smallest angle of each triangle; of equal angles the lower row wins
     """
-    rows = bad.nonzero().squeeze(1)
+    rows = true_rows(bad)
     order = rows[angle[rows].argsort(stable=True)]
     last = len(order)
     rank = torch.full((len(batch.triangles),), last, dtype=torch.int64, device=bad.device)
@@ -33,9 +33,9 @@ def seeds_of(batch: MeshBatch, bad: Tensor, angle: Tensor, reach: int) -> Tensor
         at_vertex = torch.full((len(batch.points),), last, dtype=torch.int64, device=bad.device)
         for v in corner:
             at_vertex.scatter_reduce_(0, v, rank, "amin")
-        a, b, c = (at_vertex.index_select(0, v) for v in corner)
+        a, b, c = (take(at_vertex, v) for v in corner)
         rank = torch.minimum(a, torch.minimum(b, c))
-    return (bad & (rank == own)).nonzero().squeeze(1)
+    return true_rows(bad & (rank == own))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,14 @@ class Patches:
     def cut_out(cls, batch: MeshBatch, seeds: Tensor, rings: int, complete: Tensor) -> "Patches":
         """The triangles `seeds` (P,) with `rings` rings of free vertices around each; no two patches may touch."""
         label, of_face = _labels(batch, seeds, rings)
-        faces = (of_face >= 0).nonzero().squeeze(1)
+        faces = true_rows(of_face >= 0)
         faces = faces[of_face[faces].argsort(stable=True)]
         owner, count = of_face[faces], len(batch.points)
         # A vertex on the boundary of two patches is in both.
         keys, local = torch.unique(owner[:, None] * count + batch.triangles[faces], return_inverse=True)
         vertices = keys % count
         mine = label[vertices] == keys // count
-        h = constrained_half_edges(batch).reshape(-1, 3)[faces].reshape(-1).nonzero().squeeze(1)
+        h = true_rows(constrained_half_edges(batch).reshape(-1, 3)[faces].reshape(-1))
         mesh = MeshBatch(
             batch.points[vertices],
             local,
@@ -95,7 +95,7 @@ def _labels(batch: MeshBatch, seeds: Tensor, rings: int) -> tuple[Tensor, Tensor
     for v in corner:
         label[v[seeds]] = number
     for ring in range(rings):
-        a, b, c = (label.index_select(0, v) for v in corner)
+        a, b, c = (take(label, v) for v in corner)
         of_face = torch.maximum(a, torch.maximum(b, c))
         if ring < rings - 1:
             for v in corner:
@@ -132,7 +132,7 @@ def every_flip(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple
     flipped = torch.ones_like(owner, dtype=torch.bool)
     flipped[first_member] = False
     # The half-edges h ascend, so the flips of a mesh follow each other in the order of its members.
-    member = flipped.nonzero().squeeze(1)
+    member = true_rows(flipped)
     out = repeated(batch, owner)
     triangles = out.triangles.clone()
     of = owner[member]
@@ -147,7 +147,7 @@ def every_flip(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> tuple
 def _legal_flips(batch: MeshBatch, complete: Tensor, near: Tensor | None) -> _Flips:
     """The flips that keep both triangles upright and make no edge that exists; arguments as of `every_flip`."""
     twin, vertex = batch.twin, batch.triangles.reshape(-1)
-    h = ((twin > torch.arange(len(twin), device=twin.device)) & ~constrained_half_edges(batch)).nonzero().squeeze(1)
+    h = true_rows((twin > torch.arange(len(twin), device=twin.device)) & ~constrained_half_edges(batch))
     g = twin[h]
     flips = _Flips(h, g, vertex[h], vertex[g], vertex[previous_in_triangle(h)], vertex[previous_in_triangle(g)])
     if near is not None:

@@ -37,6 +37,8 @@ from ..mesh.ragged import (
     segment_min,
     segment_sum,
     spread,
+    take,
+    true_rows,
 )
 from ..mesh.submesh import picked, submesh
 from ..mesh.triangle import least_ratio
@@ -173,10 +175,10 @@ def bad_triangles(batch: MeshBatch, q: Quality, options: PolishOptions) -> Tenso
     # In triangles of a lower ratio than any with that angle has, no angle need be measured.
     least = min(least_ratio(t), options.ratio) if t else options.ratio
     bad = q.inverse_mean_ratio > least
-    rows = bad.nonzero().squeeze(1)
-    valid = q.inverted.index_select(0, owner_of(rows, batch.triangle_offsets)) == 0
+    rows = true_rows(bad)
+    valid = take(q.inverted, owner_of(rows, batch.triangle_offsets)) == 0
     few = smallest_angles(batch, rows)
-    bad[rows] = valid & _is_bad(few, q.inverse_mean_ratio.index_select(0, rows), options)
+    bad[rows] = valid & _is_bad(few, take(q.inverse_mean_ratio, rows), options)
     return bad & ~batch.of_quads if len(batch.quads) else bad
 
 
@@ -324,7 +326,7 @@ def _best_of(patches: Patches, level: PolishLevel, options: PolishOptions) -> tu
         of_found.append(of_start)
         flips_of_found.append(depth + flipped[few].long())
     every, owner, flips = join(found), torch.cat(of_found), torch.cat(flips_of_found)
-    chosen = _first_of_each(owner, _Worst.of(every, options), len(given), 1, options).nonzero().squeeze(1)
+    chosen = true_rows(_first_of_each(owner, _Worst.of(every, options), len(given), 1, options))
     chosen = chosen[owner[chosen].argsort(stable=True)]
     return picked(every, chosen, given), flips[chosen]
 

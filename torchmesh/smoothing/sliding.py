@@ -20,7 +20,7 @@ from ..mesh.curve_motion import order_penalty, restore_area
 from ..mesh.curves import BoundaryCurves
 from ..mesh.interfaces import Interfaces, interface_vertices
 from ..mesh.measure import upright
-from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_max, segment_sum, spread
+from ..mesh.ragged import counts_from_offsets, owner_of, segment_any, segment_max, segment_sum, spread, true_rows
 from ..mesh.triangle import corners, signed_area
 from ..optimising.blocks import BLOCK
 from ..optimising.objective import MeshObjective, Packing
@@ -260,7 +260,7 @@ def _crosses(batch: MeshBatch, at: Tensor) -> Tensor:
     if not bool(at.any()):
         return crossing
     # The meshes of a batch lie over each other, so a search over all at once would find edges of different meshes.
-    for b in at.nonzero().squeeze(1).tolist():
+    for b in true_rows(at).tolist():
         mesh = batch.select(torch.arange(len(batch), device=at.device) == b)
         edges, _ = _network(mesh)
         component = connectivity.triangle_components(mesh.triangles, mesh.twin)

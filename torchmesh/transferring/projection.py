@@ -15,7 +15,7 @@ from torch import Tensor
 from ..errors import ConvergenceError
 from ..kernels import projection
 from ..kernels.library import library
-from ..mesh.ragged import segment_ids
+from ..mesh.ragged import segment_ids, take
 from ..optimising.conjugate_gradients import solve
 from .overlaps import Overlaps, signed_areas
 from .pairs import Side
@@ -59,7 +59,7 @@ class MassMatrix:
 
     def __matmul__(self, u: Tensor) -> Tensor:
         r = self.rows
-        return (self.total * u).index_add(0, r.rows, r.weights * u.index_select(0, r.columns))
+        return (self.total * u).index_add(0, r.rows, r.weights * take(u, r.columns))
 
     def solved(
         self, right: Tensor, diagonal: Tensor, offsets: Tensor, tolerance: Tensor | float, max_iterations: int

@@ -11,6 +11,7 @@ from torch import Tensor
 from ..errors import InvalidMeshError
 from ..kernels import projection
 from ..kernels.library import library
+from ..mesh.ragged import put_rows, take
 
 # Far above the rounding of a sum of weights.
 _ROUNDING = 1e-12
@@ -90,17 +91,17 @@ class SparseRows:
         if not (values.is_floating_point() or values.is_complex()):
             if not bool(alone.all()):
                 raise InvalidMeshError(f"values are {values.dtype}: only method 'nearest' copies them, or use floats")
-            return values.new_zeros((self.shape[0], *values.shape[1:])).index_copy(0, rows, values[columns])
+            return put_rows(values.new_zeros((self.shape[0], *values.shape[1:])), rows, values[columns])
         exact = torch.promote_types(values.dtype, torch.float64)
         flat = values.reshape(len(values), -1)
         several = ~alone
-        parts = flat.index_select(0, columns[several]).to(exact) * weights[several, None]
+        parts = take(flat, columns[several]).to(exact) * weights[several, None]
         out = torch.zeros((self.shape[0], flat.shape[1]), dtype=exact, device=values.device)
         out = out.index_add(0, rows[several], parts)
         if not values.is_complex():
             out = self._within(out, flat.detach().to(exact), rows, columns, weights)
         out = out.to(values.dtype)
-        out = out.index_copy(0, rows[alone], flat.index_select(0, columns[alone]))
+        out = put_rows(out, rows[alone], take(flat, columns[alone]))
         return out.reshape(self.shape[0], *values.shape[1:])
 
     def _within(self, out: Tensor, given: Tensor, rows: Tensor, columns: Tensor, weights: Tensor) -> Tensor:

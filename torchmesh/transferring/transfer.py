@@ -18,7 +18,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
 from ..mesh.quads import halved, has_quads
-from ..mesh.ragged import counts_from_offsets, owner_of
+from ..mesh.ragged import counts_from_offsets, owner_of, true_rows
 from ..mesh.validation import fit_positions
 from ..optimising.linear_map import LinearMap
 from .location import locate, nearest_triangles, nearest_vertices
@@ -224,7 +224,7 @@ def _unmoved(before: MeshBatch, after: MeshBatch) -> np.ndarray:
     row = torch.arange(len(owner)) + (starts - after.point_offsets[:-1].cpu())[owner]
     row[(counts != now)[owner]] = -1
     old, new = before.points.detach().cpu(), after.points.detach().cpu()
-    candidates = (row >= 0).nonzero().squeeze(1)
+    candidates = true_rows(row >= 0)
     here, there = old[row[candidates]], new[candidates]
     same = ((here == there) | (here.isnan() & there.isnan())).all(1)
     row[candidates[~same]] = -1

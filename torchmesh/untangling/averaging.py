@@ -15,7 +15,7 @@ from ..mesh.batch import MeshBatch, put
 from ..mesh.connectivity import heads, tails
 from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.quads import diagonals, sampled
-from ..mesh.ragged import segment_count, segment_sum, spread
+from ..mesh.ragged import segment_count, segment_sum, spread, take
 from ..mesh.triangle import corners, signed_area
 from ..mesh.units import centre_and_unit
 from ..optimising.conjugate_gradients import Systems
@@ -165,5 +165,5 @@ class _ValenceLaplacian:
         """Add the sums of `values` (2V,) over each vertex's neighbours, times `factor`, to `total` (2V,) in place."""
         count = len(total) // 2
         for sums, column in zip(total.split(count), values.split(count), strict=True):
-            sums.index_add_(0, self.tail, column.index_select(0, self.head), alpha=factor)
+            sums.index_add_(0, self.tail, take(column, self.head), alpha=factor)
         return total

@@ -6,7 +6,7 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.means import Means, vertex_size
 from ..mesh.neighbourhoods import surroundings
-from ..mesh.ragged import counts_from_offsets, segment_sum, spread
+from ..mesh.ragged import counts_from_offsets, segment_sum, spread, take
 from ..mesh.triangle import SQRT3, corners, signed_area
 from ..optimising.energies import UntangleBeta
 from ..optimising.jacobian import Target
@@ -39,7 +39,7 @@ def untangle_beta(
 def _objective(batch: MeshBatch, packing: Packing, usual: Tensor, beta: float) -> MeshObjective:
     """The energy with areas in units of the `usual` ones (T,), so that the tolerances mean the same on every mesh."""
     unit = spread(packing.unit, packing.triangle_offsets)
-    inverse = unit / usual.index_select(0, packing.triangles) * unit
+    inverse = unit / take(usual, packing.triangles) * unit
     return MeshObjective(
         UntangleBeta(beta),
         Target(1.0, 0.0, 1.0, inverse.to(packing.unknowns)),

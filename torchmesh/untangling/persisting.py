@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
+from ..mesh.ragged import true_rows
 from ..mesh.units import centre_and_unit
 from ..optimising.energies import Regularised, TotalLiftedContent
 from ..optimising.jacobian import Target, select_rows
@@ -114,7 +115,7 @@ def persist(
     """
     steps = torch.zeros(len(batch), dtype=torch.int64)
     points = batch.points.clone()
-    for b in at.nonzero().squeeze(1).tolist():
+    for b in true_rows(at).tolist():
         mesh = batch[b]
         rows = slice(int(batch.point_offsets[b]), int(batch.point_offsets[b + 1]))
         faces = slice(int(batch.triangle_offsets[b]), int(batch.triangle_offsets[b + 1]))

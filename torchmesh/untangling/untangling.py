@@ -11,7 +11,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import holding, released
 from ..mesh.measure import upright
 from ..mesh.quads import inverted_quads, quad_mesh, sampled
-from ..mesh.ragged import segment_any, segment_count, spread
+from ..mesh.ragged import segment_any, segment_count, spread, true_rows
 from ..mesh.unfit import unfit_meshes
 from ..optimising.jacobian import Target
 from ..optimising.moves import Monitor, MoveInfo
@@ -193,7 +193,7 @@ def _inverted(batch: MeshBatch) -> Tensor:
 
 def _merged(info: MoveInfo, at: Tensor, part: MoveInfo, better: Tensor) -> MoveInfo:
     """`info` after another try of the meshes `at`: work adds up, and where the try was `better` it gives the rest."""
-    rows = at.nonzero().squeeze(1)
+    rows = true_rows(at)
     more = {name: getattr(info, name).clone() for name in ("iterations", "evaluations", "energy", "gradient", "status")}
     for name in ("iterations", "evaluations"):
         more[name][rows] += getattr(part, name)

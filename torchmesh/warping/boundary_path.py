@@ -14,7 +14,7 @@ from ..mesh import connectivity
 from ..mesh.batch import MeshBatch
 from ..mesh.detached import without_autograd
 from ..mesh.quads import HALVES, quads_as_halves, sampled, spread_to_halves, worst_of_samples
-from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread
+from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread, true_rows
 from ..mesh.triangle import corners
 from ..mesh.units import centre_and_unit
 from .femwarp import checked_new_points
@@ -128,7 +128,7 @@ class BoundaryPath:
         if self.bodies is None:
             return position
         bodies = self.bodies
-        rows = ((bodies.angle[bodies.body] != 0) & (t[:, 0] < 1)).nonzero().squeeze(1)
+        rows = true_rows((bodies.angle[bodies.body] != 0) & (t[:, 0] < 1))
         t, body = t[rows], bodies.body[rows]
         angle = bodies.angle[body]
         p = self.start[rows] - bodies.origin[body]
@@ -158,7 +158,7 @@ class Bodies:
     def of(cls, batch: MeshBatch, start: Tensor, end: Tensor) -> "Bodies":
         """The bodies that go from `start` to `end`, (V, 2) float64."""
         body, count = _bodies(batch)
-        rows = (body < count).nonzero().squeeze(1)
+        rows = true_rows(body < count)
         rows = rows[body[rows].sort(stable=True).indices]
         offsets = offsets_from_counts(torch.bincount(body[rows], minlength=count)[:count])
         size = (offsets[1:] - offsets[:-1]).clamp_min(1)

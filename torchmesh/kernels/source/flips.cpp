@@ -349,3 +349,18 @@ TM_EXPORT std::int64_t tm_flips_log(void* rounds, std::int64_t* out) {
 }
 
 TM_EXPORT void tm_flips_end(void* rounds) { delete static_cast<torchmesh::Rounds*>(rounds); }
+
+// The lower half-edges of the interior edges of the triangles whose flag is set, ascending, if `out` is given; returns
+// how many they are.
+TM_EXPORT std::int64_t tm_edges_of(const std::uint8_t* triangles, const std::int64_t* twin, std::int64_t half_edges,
+                                   std::int64_t* out) {
+    std::int64_t count = 0;
+    for (std::int64_t t = 0; 3 * t < half_edges; ++t)
+        for (std::int64_t h = 3 * t; h < 3 * t + 3; ++h) {
+            const std::int64_t g = twin[h];
+            if (g <= h || !(triangles[t] || triangles[g / 3])) continue;
+            if (out) out[count] = h;
+            ++count;
+        }
+    return count;
+}

@@ -155,3 +155,48 @@ TM_EXPORT void tm_centre_and_unit(const double* points, const std::int64_t* offs
         unit[b] = !odd && extent > 0 && std::isfinite(extent) ? std::ldexp(1.0, exponent - 1) : 1.0;
     }
 }
+
+namespace torchmesh {
+namespace {
+
+// The value of each free vertex in the rows of both its coordinates.
+template <class Real>
+void scatter(const double* values, const std::int64_t* vertices, const std::int64_t* x_rows, const std::int64_t* y_rows,
+             std::int64_t count, Real* out) {
+    for (std::int64_t i = 0; i < count; ++i) out[x_rows[i]] = out[y_rows[i]] = Real(values[vertices[i]]);
+}
+
+// The free vertices where the unknowns say, in `points` (V, 2); those whose unknowns stayed keep their digits.
+template <class Real>
+void unpack(const Real* before, const Real* now, const std::int64_t* vertices, const std::int64_t* x_rows,
+            const std::int64_t* y_rows, const std::int64_t* mesh, const double* centre, const double* unit,
+            bool displacements, std::int64_t count, double* points) {
+    for (std::int64_t i = 0; i < count; ++i)
+        for (int axis = 0; axis < 2; ++axis) {
+            const std::int64_t row = (axis ? y_rows : x_rows)[i];
+            if (now[row] == before[row]) continue;
+            double& at = points[2 * vertices[i] + axis];
+            at = (displacements ? at : centre[2 * mesh[i] + axis]) + double(now[row]) * unit[mesh[i]];
+        }
+}
+
+}  // namespace
+}  // namespace torchmesh
+
+#define TM_SCATTER(name, Real)                                                                                    \
+    TM_EXPORT void name(const double* values, const std::int64_t* vertices, const std::int64_t* x_rows,           \
+                        const std::int64_t* y_rows, std::int64_t count, Real* out) {                              \
+        torchmesh::scatter(values, vertices, x_rows, y_rows, count, out);                                         \
+    }
+#define TM_UNPACK(name, Real)                                                                                     \
+    TM_EXPORT void name(const Real* before, const Real* now, const std::int64_t* vertices,                        \
+                        const std::int64_t* x_rows, const std::int64_t* y_rows, const std::int64_t* mesh,         \
+                        const double* centre, const double* unit, int displacements, std::int64_t count,          \
+                        double* points) {                                                                         \
+        torchmesh::unpack(before, now, vertices, x_rows, y_rows, mesh, centre, unit, displacements != 0, count,   \
+                          points);                                                                                \
+    }
+TM_SCATTER(tm_scatter, double)
+TM_SCATTER(tm_scatter_single, float)
+TM_UNPACK(tm_unpack, double)
+TM_UNPACK(tm_unpack_single, float)
