@@ -13,6 +13,7 @@ from ..errors import MeshIOError
 from ..mesh.batch import MeshBatch
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
 from .hdf5_layout import CHUNK_ROWS, FORMAT, OF_QUADS, QUADS, SHAPES, TABLES, VERSION, as_our_errors
+from .swelling import check_attributes
 
 # The greatest factor by which deflate can compress (RFC 1951): what is stated beyond it was never stored.
 _DEFLATE = 1032
@@ -40,6 +41,7 @@ class BatchFile:
         self.path = Path(path)
         with as_our_errors(self.path, "cannot be read"):
             self._file = h5py.File(self.path, "r")
+            check_attributes(self._file)
             if self._file.attrs.get("format") != FORMAT:
                 raise MeshIOError(f"{path}: this is HDF5, but no file of torchmesh.save_batch")
             if self._file.attrs["version"] > VERSION:

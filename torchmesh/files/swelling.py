@@ -52,19 +52,40 @@ def inflated(block: bytes, compressor: str, most: int) -> bytes:
 
 
 def check_hdf5(path: Path) -> None:
-    """Raises ValueError if the tables of an HDF5 file need too much memory; OSError if it is no such file."""
+    """Raises ValueError if an HDF5 file is damaged so that it cannot be read safely; OSError if it is no such file.
+
+    Its tables may not need too much memory, and no attribute may be a sequence of variable length, which no format of
+    meshes has: the HDF5 library itself was seen to die of one that a damaged string had become.
+    """
     import h5py
 
     needed = 0
 
     def add(_: str, item: Any) -> None:
         nonlocal needed
+        check_attributes(item)
         if isinstance(item, h5py.Dataset) and item.shape is not None:
             needed += item.size * item.dtype.itemsize
 
     with h5py.File(path, "r") as file:
+        check_attributes(file)
         file.visititems(add)
     check_swelling(needed, path.stat().st_size)
+
+
+def check_attributes(item: Any) -> None:
+    """Raises ValueError if an attribute of a group or table is a sequence of variable length, but for references.
+
+    Nothing is read but the types.
+    """
+    from h5py import h5a, h5t
+
+    for i in range(h5a.get_num_attrs(item.id)):
+        attribute = h5a.open(item.id, index=i)
+        kind = attribute.get_type()
+        if isinstance(kind, h5t.TypeVlenID) and not isinstance(kind.get_super(), h5t.TypeReferenceID):
+            name = attribute.name.decode("utf-8", "replace")
+            raise ValueError(f"its attribute {name!r} is a sequence of variable length, so that it is damaged")
 
 
 def check_netcdf(path: Path) -> None:
