@@ -15,14 +15,14 @@ The folders are the algorithm, from the ground up; a folder imports from those a
     commands        the command line
 """
 
+import gc
 import importlib
 import importlib.machinery
 import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from types import ModuleType
-
     from . import bench
     from .batches.manifest import FileResult
     from .batches.runs import improve_files
@@ -154,13 +154,28 @@ sys.meta_path.append(_PublicModules())
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        value = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
+        value = getattr(_loaded(_HOMES[name]), name)
     elif name in _MODULES:
-        value = importlib.import_module(f".{_MODULES[name]}", __name__)
+        value = _loaded(_MODULES[name])
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def _loaded(module: str) -> ModuleType:
+    """A module of this package.
+
+    What a module makes while it is loaded is there to stay.  To look through all of it, and all that torch has made,
+    for garbage would take longer than the loading itself.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return importlib.import_module(f".{module}", __name__)
+    finally:
+        if collects:
+            gc.enable()
 
 
 def __dir__() -> list[str]:
