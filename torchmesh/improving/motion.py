@@ -7,6 +7,7 @@ Nothing in a motion ever changes: a step gives back another one.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -84,7 +85,7 @@ class Motion:
         """This motion with the meshes `at` (B,) bool replaced by `part`, which begins where they began."""
         rows = true_rows(at)
         names = ("status", "reached", "length", "steps", "refused", "flips", "blocked")
-        columns = {name: put_rows(getattr(self, name), rows, getattr(part, name)) for name in names}
+        columns: dict[str, Any] = {name: put_rows(getattr(self, name), rows, getattr(part, name)) for name in names}
         nothing = torch.full_like(self.reached, torch.nan)
         ends = []
         for i in range(max(len(self.ends), len(part.ends))):

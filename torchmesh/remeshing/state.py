@@ -9,6 +9,7 @@ a state in which splits and collapses change rows in place.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -119,13 +120,14 @@ class RemeshState:
             pairs.append((self.metric, part.metric))
         batch, size, of, *metric = exchange(self.batch, at, part.batch, pairs)
         row = true_rows(at)
+        counts: dict[str, Any] = {name: put_rows(getattr(self, name), row, getattr(part, name)) for name in _COUNTS}
         return replace(
             self,
             batch=batch,
             size=size,
             names=self.names.later(part.names).renamed(of),
             metric=metric[0] if metric else None,
-            **{name: put_rows(getattr(self, name), row, getattr(part, name)) for name in _COUNTS},
+            **counts,
         )
 
     def released(self, given: MeshBatch, begun: "RemeshState") -> MeshBatch:
