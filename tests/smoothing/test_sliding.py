@@ -259,12 +259,12 @@ def test_chords_of_narrow_slits_do_not_cross(monkeypatch):
 
 
 @pytest.mark.parametrize("exponent", [-300, -7, 1, 300])
-@pytest.mark.parametrize("name", list(UNEVEN))
-def test_scaling_by_a_power_of_two_scales_the_result_to_the_bit(name, exponent):
-    mesh, plain, info = slid_along(name)
-    scaled, its = smooth(mesh.with_points(mesh.points * 2.0**exponent), SLIDE)
-    assert torch.equal(scaled.points, plain.points * 2.0**exponent)
-    assert torch.equal(its.iterations, info.iterations)
+def test_scaling_by_a_power_of_two_scales_the_result_to_the_bit(exponent):
+    given = [slid_along(name) for name in UNEVEN]
+    scaled, its = smooth(join([mesh.with_points(mesh.points * 2.0**exponent) for mesh, _, _ in given]), SLIDE)
+    for (_, plain, info), part, iterations in zip(given, scaled.split(), its.iterations, strict=True):
+        assert torch.equal(part.points, plain.points * 2.0**exponent)
+        assert info.iterations.tolist() == [iterations]
 
 
 def test_far_from_the_origin_nothing_is_lost():
