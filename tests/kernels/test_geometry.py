@@ -55,6 +55,17 @@ def test_twins_are_the_same(generator):
     assert len(connectivity.twins(torch.zeros((0, 3), dtype=torch.int64))) == 0
 
 
+def test_components_are_the_same(generator):
+    for mesh in batches(generator):
+        order = torch.randperm(len(mesh.triangles), generator=generator)
+        for triangles in (mesh.triangles, mesh.triangles[order], mesh.triangles[order[::3]], mesh.triangles[:0]):
+            twin = connectivity.twins(triangles)
+            walls = torch.rand(len(twin), generator=generator) < 0.6
+            for blocked in (None, walls, walls | walls[twin]):
+                expected, got = both(lambda t=triangles, w=twin, b=blocked: connectivity.triangle_components(t, w, b))
+                assert torch.equal(expected, got)
+
+
 def test_signs_of_rows_are_the_same(rng):
     points = np.concatenate(
         [rng.uniform(-1, 1, (60, 2)), rng.integers(0, 3, (60, 2)) / 2, rng.uniform(0, 1e-160, (9, 2))]

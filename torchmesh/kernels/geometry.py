@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .library import ADDRESS, INT64, call, pointer
+from .library import ADDRESS, INT64, call, function, pointer
 
 
 def measured(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -46,6 +46,16 @@ def twins(triangles: Tensor) -> Tensor:
     vertices = int(triangles.max()) + 1 if len(triangles) else 0
     call("tm_twins", None, ADDRESS(pointer(triangles)), INT64(len(triangles)), INT64(vertices), ADDRESS(pointer(twin)))
     return twin
+
+
+def triangle_components(twin: Tensor, blocked: Tensor | None) -> Tensor:
+    """(T,) `mesh.connectivity.triangle_components` of twin (3T,) int64 and blocked (3T,) bool."""
+    twin, blocked = twin.contiguous(), None if blocked is None else blocked.contiguous()
+    stack, out = torch.empty((2, twin.numel() // 3), dtype=torch.int64)
+    function("tm_triangle_components", None, ADDRESS, ADDRESS, INT64, ADDRESS, ADDRESS)(
+        twin.data_ptr(), pointer(blocked), out.numel(), stack.data_ptr(), out.data_ptr()
+    )
+    return out
 
 
 def row_signs(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -140,6 +140,8 @@ def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None 
     lower root, all at once, then every tree is flattened (Shiloach & Vishkin, An O(log n) parallel
     connectivity algorithm, Journal of Algorithms 3, 1982); about five rounds do a million triangles.
     """
+    if library_for(twin) is not None:
+        return geometry.triangle_components(twin, blocked)
     h = true_rows(twin > torch.arange(len(twin), device=twin.device))
     across = take(twin, h)
     if blocked is not None:

@@ -29,7 +29,7 @@ def loops_of(boundary: np.ndarray) -> list[np.ndarray]:
 
 def loop_edges(loop: np.ndarray) -> np.ndarray:
     """(n, 2) the directed edges of a loop (n,)."""
-    return np.stack([loop, np.roll(loop, -1)], 1)
+    return np.stack([loop, np.concatenate([loop[1:], loop[:1]])], 1)
 
 
 def turns_left(points: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:

@@ -44,7 +44,7 @@ def is_triangulation_of(points: np.ndarray, corners: np.ndarray, boundary: np.nd
     if not len(corners) or (signs(points, *corners.T) <= 0).any():
         return False
     count = len(points)
-    ways = np.concatenate([corners, np.roll(corners, -1, 1)]).reshape(2, -1)
+    ways = np.concatenate([corners, corners[:, [1, 2, 0]]]).reshape(2, -1)
     there, back = np.sort(ways[0] * count + ways[1]), ways[1] * count + ways[0]
     found = np.minimum(np.searchsorted(there, back), len(there) - 1)
     # What has no edge back, seen from its other side.

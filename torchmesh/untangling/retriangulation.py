@@ -224,7 +224,7 @@ class _Work:
         rows = np.flatnonzero(cavity)
         triangles = torch.from_numpy(self.triangles[rows])
         ends = triangles.numpy()
-        wall = among(self._keys(ends.ravel(), np.roll(ends, -1, 1).ravel()), self.walls)
+        wall = among(self._keys(ends.ravel(), ends[:, [1, 2, 0]].ravel()), self.walls)
         twin = connectivity.twins(triangles)
         label = connectivity.triangle_components(triangles, twin, torch.from_numpy(wall)).numpy()
         beyond = twin.numpy()
@@ -241,7 +241,7 @@ class _Work:
         """
         vertices, local = np.unique(self.triangles[rows], return_inverse=True)
         local = local.reshape(-1, 3)
-        ends = np.stack([local.ravel(), np.roll(local, -1, 1).ravel()], 1)
+        ends = np.stack([local.ravel(), local[:, [1, 2, 0]].ravel()], 1)
         wall = among(self._keys(*vertices[ends].T), self.walls)
         cavity = Cavity(
             points=self.points[vertices],
@@ -271,7 +271,7 @@ class _Work:
     def _crosses_itself(self, rows: np.ndarray, outer: np.ndarray) -> bool:
         """Does the boundary of the mesh cross itself within this component, so that no larger one can be rebuilt?"""
         corners = self.triangles[rows]
-        ends = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)[outer]
+        ends = np.stack([corners.ravel(), corners[:, [1, 2, 0]].ravel()], 1)[outer]
         ends = ends[among(self._keys(*ends.T), self.boundary)]
         pairs = crossing_pairs(self.points, ends)
         if not len(pairs) and (self.points[ends[:, 0]] != self.points[ends[:, 1]]).any(1).all():
@@ -289,7 +289,7 @@ class _Work:
         """
         on_boundary = np.zeros(len(vertices), bool)
         on_boundary[boundary] = True
-        sides = np.stack([corners.ravel(), np.roll(corners, -1, 1).ravel()], 1)
+        sides = np.stack([corners.ravel(), corners[:, [1, 2, 0]].ravel()], 1)
         chords = distinct(self._keys(*vertices[sides[on_boundary[sides].all(1)]].T))
         chords = chords[~among(chords, self._keys(*vertices[boundary].T))]
         return chords[among(chords, self._keys_outside(rows, vertices[on_boundary]))] if len(chords) else chords
@@ -317,7 +317,7 @@ class _Work:
         near = (a & b) | (b & c) | (c & a)
         near[rows] = False
         there = self.triangles[near]
-        return self._keys(there.ravel(), np.roll(there, -1, 1).ravel())
+        return self._keys(there.ravel(), there[:, [1, 2, 0]].ravel())
 
 
 def _edges_of(ends: np.ndarray) -> np.ndarray:

@@ -196,3 +196,27 @@ TM_EXPORT std::int64_t tm_crossing_pairs(const double* points, const std::int64_
     }
     return std::int64_t(found.size());
 }
+
+// The component of each triangle, neighbours across edges; edges that are blocked on both sides part.  Numbered by their
+// first triangles.  `stack` has room for all triangles.
+TM_EXPORT void tm_triangle_components(const std::int64_t* twin, const std::uint8_t* blocked, std::int64_t count,
+                                      std::int64_t* stack, std::int64_t* out) {
+    std::fill(out, out + count, std::int64_t(-1));
+    std::int64_t components = 0;
+    for (std::int64_t first = 0; first < count; ++first) {
+        if (out[first] >= 0) continue;
+        std::int64_t waiting = 0;
+        stack[waiting++] = first;
+        out[first] = components;
+        while (waiting) {
+            const std::int64_t t = stack[--waiting];
+            for (std::int64_t h = 3 * t; h < 3 * t + 3; ++h) {
+                const std::int64_t g = twin[h];
+                if (g < 0 || out[g / 3] >= 0 || (blocked && blocked[h] && blocked[g])) continue;
+                out[g / 3] = components;
+                stack[waiting++] = g / 3;
+            }
+        }
+        ++components;
+    }
+}
