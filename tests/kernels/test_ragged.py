@@ -6,6 +6,7 @@ from both_loops import both, need_compiled_loops
 from meshes import delaunay, grid, jittered, ring
 
 from torchmesh import join
+from torchmesh.kernels import library
 from torchmesh.kernels import ragged as compiled
 from torchmesh.mesh import connectivity, ragged
 from torchmesh.mesh.batch import put
@@ -65,6 +66,24 @@ def test_rows_that_are_not_there_are_refused():
             compiled.take(values, rows)
         with pytest.raises(IndexError):
             compiled.put_rows(values, rows, values)
+
+
+@pytest.mark.parametrize("choice", ["torch", "compiled"])
+def test_what_does_not_fit_is_refused(choice):
+    values, rows = torch.zeros(MANY, 2), torch.arange(MANY)
+    if choice == "compiled":
+        need_compiled_loops()
+
+    @without_autograd
+    def wrong():
+        for part in (values[1:], values[:, :1], values.double()):
+            with pytest.raises((RuntimeError, IndexError)):
+                ragged.put_rows(values, rows, part)
+        with pytest.raises(RuntimeError):
+            ragged.spread(values[:3], torch.tensor([0, 2, MANY]))
+
+    with library.using(choice):
+        wrong()
 
 
 def test_what_belongs_to_meshes(generator):

@@ -37,7 +37,8 @@ def put_rows(values: Tensor, rows: Tensor, part: Tensor) -> Tensor:
 
     Each row is named once; none may be negative.
     """
-    many = rows.numel() >= _MANY and part.dtype == values.dtype and loops_may_read(values)
+    fits = part.dtype == values.dtype and part.shape == (rows.numel(), *values.shape[1:])
+    many = rows.numel() >= _MANY and fits and loops_may_read(values)
     return ragged.put_rows(values, rows, part) if many else values.index_copy(0, rows, part)
 
 
@@ -62,7 +63,7 @@ def spread(per_mesh: Tensor, offsets: Tensor) -> Tensor:
     if len(per_mesh) == 1:
         # Most batches are of one mesh, and a copy of a number takes less time than to look for its place.
         return per_mesh.expand(int(offsets[1]), *per_mesh.shape[1:]).contiguous()
-    if loops_may_read(per_mesh):
+    if len(per_mesh) == len(offsets) - 1 and loops_may_read(per_mesh):
         return ragged.spread(per_mesh, offsets)
     return per_mesh.repeat_interleave(counts_from_offsets(offsets), dim=0)
 
