@@ -52,3 +52,13 @@ def test_errors_name_the_file():
     document.mesh.points = np.where(np.arange(9)[:, None] == 2, np.nan, POINTS)
     with pytest.raises(InvalidMeshError, match=r"^x\.vtk: points row 2"):
         wiped(document, Path("x.vtk"))
+
+
+def test_a_file_of_quads_alone_is_cleaned():
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [1, 0], [2, 0], [2, 1], [7.0, 7]])
+    mesh, log = wiped(
+        Document(meshio.Mesh(points, [("quad", np.array([[0, 1, 2, 3], [4, 5, 6, 2]]))]), "vtk"), Path("x")
+    )
+    assert len(mesh.points) == 6
+    assert mesh.cells[0].data.tolist() == [[0, 1, 2, 3], [1, 4, 5, 2]]
+    assert log.changed

@@ -159,7 +159,7 @@ def _run(run: "Run", quiet: bool) -> int:
         hidden = tally.failed - _SHOWN
         more = f"; {hidden:,} more in the manifest" if hidden > 0 else ""
         console.say(
-            f"not valid: {tally.tangled:,} of {tally.total:,} meshes still have inverted triangles, "
+            f"not valid: {tally.tangled:,} of {tally.total:,} meshes still have inverted elements, "
             f"{tally.errors:,} are errors: {run.out / 'manifest.jsonl'}{more}"
         )
     return 2 if tally.refused else int(tally.failed > 0)
@@ -202,8 +202,8 @@ class Tally:
             "valid": self.total - self.failed,
             "not valid": self.tangled,
             "errors": self.errors,
-            "inverted triangles before": self.inverted_before,
-            "inverted triangles after": self.inverted_after,
+            "inverted elements before": self.inverted_before,
+            "inverted elements after": self.inverted_after,
         }
 
     def text(self, seconds: float) -> str:
@@ -239,7 +239,7 @@ def _progress(tally: Tally, quiet: bool) -> Iterator["Callable[[FileResult], Non
         if result.error is not None:
             console.say(f"error: {result.error}")
         else:
-            inverted = console.counted(result.inverted_after or 0, "inverted triangle")
+            inverted = console.counted(result.inverted_after or 0, "inverted element")
             console.say(f"not valid: {inverted} in {result.output} ({result.message})")
 
     if quiet or not sys.stderr.isatty():

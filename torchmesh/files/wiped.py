@@ -25,7 +25,8 @@ def wiped(document: Document, path: Path, tolerance: float = 0.0, sew: bool = Fa
     cannot be dealt with.
     """
     mesh, kinds = checked(document.mesh, path)
-    rows = np.concatenate([b.data for b in mesh.cells if b.type == "triangle"]).astype(np.int64)
+    triangles = (b.data for b in mesh.cells if b.type == "triangle")
+    rows = np.concatenate([np.zeros((0, 3), np.int64), *triangles]).astype(np.int64)
     first = triangle = np.arange(len(rows))
     if document.repeats_triangles:
         first, triangle = merged_rows(rows)
