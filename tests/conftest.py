@@ -1,5 +1,6 @@
 """Set-up shared by all tests: one thread, seeded generators, hypothesis without a clock; which tests are slow."""
 
+import functools
 import os
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -33,12 +34,12 @@ BOTH_WAYS = (
 )
 # Modules of those folders that run once: objectives that are written in Python, which no compiled loop takes; and whole
 # improvements towards targets, whose loops tests/kernels holds together.
-ONE_WAY = {FOLDER / "optimising" / name for name in ("test_lbfgs.py", "test_targets.py")}
+ONE_WAY = {"optimising/test_lbfgs.py", "optimising/test_targets.py"}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    path = Path(metafunc.module.__file__)
-    if path not in ONE_WAY and any(path == FOLDER / place or FOLDER / place in path.parents for place in BOTH_WAYS):
+    path = _below(metafunc.module.__file__)
+    if path not in ONE_WAY and any(path == place or path.startswith(f"{place}/") for place in BOTH_WAYS):
         metafunc.parametrize("loops", ["compiled", "torch"], indirect=True)
 
 
@@ -46,23 +47,26 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def loops(request: pytest.FixtureRequest) -> Iterator[None]:
     """The inner loops by which a test of `BOTH_WAYS` runs; the others run by those that are there."""
     choice = getattr(request, "param", None)
-    if choice == "compiled" or FOLDER / "kernels" in request.path.parents:
+    if choice == "compiled" or _below(request.path).startswith("kernels/"):
         need_compiled_loops()
     with nullcontext() if choice is None else library.using(choice):
         yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if not {_module(item), f"{_module(item)}::{getattr(item, 'originalname', item.name)}"}.isdisjoint(SLOW):
+    modules = {item: _below(item.path) for item in items}
+    for item, module in modules.items():
+        if module in SLOW or f"{module}::{getattr(item, 'originalname', item.name)}" in SLOW:
             item.add_marker(pytest.mark.slow)
     # Slow modules come first: at the end, when a worker takes tests over from another, there are many short ones.
-    items.sort(key=lambda item: _module(item) not in SLOW)
+    items.sort(key=lambda item: modules[item] not in SLOW)
 
 
-def _module(item: pytest.Item) -> str:
-    """The path of its file below this folder."""
-    return item.path.relative_to(FOLDER).as_posix() if item.path.is_relative_to(FOLDER) else ""
+@functools.cache
+def _below(path: str | Path) -> str:
+    """A file's path below this folder; "" if it lies elsewhere."""
+    path = Path(path)
+    return path.relative_to(FOLDER).as_posix() if path.is_relative_to(FOLDER) else ""
 
 
 # Deadlines measure the machine, not the code; the same examples every run, so that a failure stays.

@@ -23,6 +23,7 @@ from experiments.shared import arguments, tables
 from torchmesh.files.documents import load
 from torchmesh.files.drafts import Draft
 from torchmesh.files.formats.registry import FORMATS
+from torchmesh.files.source import Source
 
 
 def kept(form: str, feature: Feature, folder: Path) -> bool:
@@ -33,13 +34,14 @@ def kept(form: str, feature: Feature, folder: Path) -> bool:
         warnings.simplefilter("ignore")
         try:
             Draft.of(first, feature.make(form)).save()
-            given = tm.read(first)
-            if not feature.there(load(first), given):
+            given = Source.open(first)
+            if not feature.there(given.document, given.mesh):
                 return False
         except tm.MeshError:
             return False
-        tm.write(second, moved(given), like=first)
-        return feature.there(load(second), tm.read(second))
+        tm.write(second, moved(given.mesh), like=first)
+        found = Source.open(second)
+        return feature.there(found.document, found.mesh)
 
 
 def moved(mesh: tm.MeshBatch) -> tm.MeshBatch:
