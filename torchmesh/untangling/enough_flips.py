@@ -29,18 +29,23 @@ class FlipSearch:
     """How long `enough_flips` looks.
 
     rounds  of flips that lower the inverted area, and of pushing areas, at most
-    trials  single flips that are tried at most, for a mesh of up to `size` triangles; for a larger one fewer
-    width   flips of which the best is kept
+    trials  single flips that are tried at most, twice, for a mesh of up to `size` triangles; for a larger one fewer
+    width   flips of which the best is kept; one that leaves fewer inverted triangles is kept at once
+    patience  flips without fewer inverted triangles than ever before, after which the search ends
     tabu    so many of the last edges that came by a flip are not flipped
-    back    the same for flips that are taken back
+    back    takings back of flips that are tried at most, in the same way
     size    see there
+    near    meshes with more inverted triangles than this are left to re-triangulation, those with more than half of it
+            after the first of both times
     ways    how areas are pushed
     """
 
     rounds: int = 20
-    trials: int = 60
+    trials: int = 40
     width: int = 6
+    patience: int = 8
     tabu: int = 8
+    near: int = 40
     back: int = 40
     size: int = 300
     ways: NewtonWays = field(default_factory=lambda: NewtonWays(betas=(0.1,), pushes=40))
@@ -146,7 +151,7 @@ class _Search:
 
     def take(self, flips: list[Edge], points: Tensor, inverted: int, lack: float) -> bool:
         """Go on with these if they are better."""
-        if (inverted, lack) >= (self.inverted, self.lack):
+        if (inverted, lack) > (self.inverted, self.lack):
             return False
         self.flips, self.points, self.inverted, self.lack = flips, points, inverted, lack
         return True
@@ -169,33 +174,45 @@ class _Search:
             less = _lowering(wiring, self.points.double().numpy())
             if not less or not self.take(self.flips + less, *self.pushed(wiring)):
                 break
-        return not self.inverted or self.tried()
+        first = self.flips, self.points, self.inverted, self.lack
+        for stay, most in ((False, self.options.near), (True, self.options.near // 2)):
+            if 0 < first[2] <= most and self.inverted:
+                self.flips, self.points, self.inverted, self.lack = first
+                self.tried(stay)
+        return not self.inverted
 
-    def tried(self) -> bool:
-        """Try single flips, and go on with the best of them even if it is worse than what was (tabu search)."""
+    def tried(self, stay: bool) -> None:
+        """Try single flips, and go on with the best of them even if it is worse than what was (tabu search).
+
+        stay  vertices stay where pushing areas leaves more inverted triangles
+        """
         left = int(self.options.trials / self.fewer_trials)
-        made = list[frozenset[int]]()
-        while self.inverted and left > 0:
+        made, fewest, quiet = list[frozenset[int]](), self.inverted, 0
+        while self.inverted and left > 0 and quiet < self.options.patience:
             wiring = self.wired(self.flips)
             offers = _near(wiring, self.points.double().numpy())
             fresh = [edge for edge in offers if frozenset(edge) not in made[-self.options.tabu :]]
-            fresh = fresh[: min(left, self.options.width)]
+            fresh = (fresh or offers)[: min(left, self.options.width)]
             if not fresh:
                 break
-            left -= len(fresh)
-            flips, points, self.inverted, self.lack = self.flips, self.points, len(wiring.faces) + 1, float("inf")
+            flips, points, before = self.flips, self.points, self.inverted
+            self.inverted, self.lack = len(wiring.faces) + 1, float("inf")
             for edge in fresh:
                 wiring = self.wired(flips)
                 ends = wiring.across(*edge)
                 wiring.flip(*edge)
-                tried = pushed(self.mesh.with_triangles(wiring.triangles()), self.options.ways, points)
+                left -= 1
+                turned = self.mesh.with_triangles(wiring.triangles()).with_points(points)
+                tried = pushed(turned, self.options.ways, points)
+                if stay:
+                    tried = min(tried, (points, int((~upright(turned)).sum()), float("inf")), key=lambda t: t[1:])
                 if self.take([*flips, edge], *tried):
-                    assert ends is not None
-                    last = frozenset(ends)
-                if not self.inverted:
+                    last = frozenset(ends or ())
+                if self.inverted < before:
                     break
             made.append(last)
-        return not self.inverted
+            quiet = 0 if self.inverted < fewest else quiet + 1
+            fewest = min(fewest, self.inverted)
 
     def take_back(self) -> None:
         """Take back flips as long as pushing areas suffices."""

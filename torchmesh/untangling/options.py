@@ -32,7 +32,7 @@ class NewtonWays:
     pushes: int = 150
     alphas: tuple[float, ...] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
     steps_per_alpha: int = 60
-    least_alphas: int = 2
+    least_alphas: int = 1
     steps_per_epsilon: int = 10
     max_continuations: int = 60
     stall_patience: int = 10
