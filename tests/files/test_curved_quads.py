@@ -306,3 +306,19 @@ def test_straight_quads_beside_six_node_triangles_are_split(tmp_path):
     split = int(done.report.split_quads.sum())
     assert 0 < split < len(flat)
     assert kinds == {"quad": len(flat) - split, "triangle6": len(six), "triangle": 2 * split}
+
+
+@pytest.mark.parametrize(
+    ("suffix", "width", "left"), [("unv", 9, 0), ("unv", 8, 8), ("bdf", 8, 8), ("su2", 9, 0), ("mesh", 8, 0)]
+)
+def test_where_a_format_has_no_such_quads_their_corners_are_written_and_it_is_said(tmp_path, suffix, width, left):
+    path = save(tmp_path / "in.vtu", *ring(width=width))
+    mesh, out = tm.read(path), tmp_path / f"out.{suffix}"
+    if not left:
+        with pytest.warns(MeshWarning, match=f"mid-side nodes of quad{width} cells"):
+            tm.write(out, mesh, like=path)
+    else:
+        tm.write(out, mesh, like=path)
+    found = [b.type for b in load(out).mesh.cells if b.type.startswith("quad")]
+    assert set(found) == {f"quad{left or ''}"}
+    assert sum(len(b.data) for b in load(out).mesh.cells if b.type.startswith("quad")) == len(mesh.quads)

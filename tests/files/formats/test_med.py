@@ -54,3 +54,13 @@ def test_quads_of_nine_nodes_are_read_and_written(tmp_path):
     assert len(tm.read(tmp_path / "a.med").quads) == 1
     tm.write(tmp_path / "b.med", tm.read(tmp_path / "a.med"), like=tmp_path / "a.med")
     assert load(tmp_path / "b.med").mesh.cells[0].data.tolist() == [[*range(9)]]
+
+
+def test_blocks_of_one_type_become_one(tmp_path):
+    cells = [("triangle", FACES[:1]), ("line", np.array([[0, 1]])), ("triangle", FACES[1:])]
+    mesh = meshio.Mesh(POINTS, cells, cell_data={"k": [np.array([1.0]), np.array([5.0]), np.array([2.0, 3, 4])]})
+    FORMATS["med"].write(tmp_path / "a.med", mesh, None, False)
+    found = {b.type: (b.data.tolist(), load(tmp_path / "a.med").mesh.cell_data["k"][i].ravel().tolist())
+             for i, b in enumerate(load(tmp_path / "a.med").mesh.cells)}  # fmt: skip
+    assert found["triangle"] == (FACES.tolist(), [1, 2, 3, 4])
+    assert found["line"] == ([[0, 1]], [5])

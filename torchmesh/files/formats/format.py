@@ -20,7 +20,7 @@ ALL_CELLS = ("vertex", *LINEAR, "polygon", "higher")
 _HIGHER = re.compile(r"^(line|quad)\d+$|^triangle6$")
 
 # Where a format has no cells of the second order, their corners are written.
-_STRAIGHT = {"triangle6": ("triangle", 3), "line3": ("line", 2)}
+_STRAIGHT = {"triangle6": ("triangle", 3), "quad8": ("quad", 4), "quad9": ("quad", 4), "line3": ("line", 2)}
 
 
 @dataclass(frozen=True)
@@ -204,9 +204,9 @@ class Format(abc.ABC):
         cells, lost = [], set()
         for block in mesh.cells:
             kind, data = block.type, block.data
-            if kind == "triangle6" and not self._holds(kind):
-                lost.add("mid-side nodes of triangle6 cells")
-            if kind in _STRAIGHT and not self._holds(kind):
+            if kind in _STRAIGHT and kind != "line3" and not self._holds(kind) and self._holds(_STRAIGHT[kind][0]):
+                lost.add(f"mid-side nodes of {kind} cells")
+            if kind in _STRAIGHT and not self._holds(kind) and self._holds(_STRAIGHT[kind][0]):
                 kind, width = _STRAIGHT[kind]
                 data = data[:, :width]
             cells.append(meshio.CellBlock(kind, data))

@@ -35,7 +35,24 @@ class MedFormat(MeshioFormat):
 
     def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
         with _mended():
-            super().write(path, mesh, like, same_rows)
+            super().write(path, _with_one_block_a_type(mesh), like, same_rows)
+
+
+def _with_one_block_a_type(mesh: meshio.Mesh) -> meshio.Mesh:
+    """The mesh with all cells of a type in one block, as the format has them."""
+    blocks: dict[str, list[int]] = {}
+    for i, block in enumerate(mesh.cells):
+        blocks.setdefault(block.type, []).append(i)
+    if len(blocks) == len(mesh.cells):
+        return mesh
+    cells = [(kind, np.concatenate([mesh.cells[i].data for i in rows])) for kind, rows in blocks.items()]
+    data = {
+        name: [np.concatenate([np.asarray(values[i]) for i in rows]) for rows in blocks.values()]
+        for name, values in mesh.cell_data.items()
+    }
+    made = meshio.Mesh(mesh.points, cells, mesh.point_data, data, mesh.field_data)
+    vars(made).update({name: value for name, value in vars(mesh).items() if name not in vars(made)})
+    return made
 
 
 MED = MedFormat(

@@ -13,7 +13,7 @@ import meshio
 import numpy as np
 
 from .deck import TRIANGLES, Deck, DeckFormat, SideLine, read_lines, side_groups, span_table, triangles_of
-from .format import ALL_BUT_POLYGONS, Document
+from .format import Document
 from .nastran_cards import Entry, entries, real, real_text
 from .nodal_values import NodalValues
 
@@ -80,8 +80,11 @@ class NastranFormat(DeckFormat):
         return text.rjust(width) if width > 0 else text
 
 
+# Cells of new files.
+_CELLS = ("vertex", "line", "triangle", "quad", "triangle6", "quad8")
+
 NASTRAN = NastranFormat(
-    "nastran", (".bdf", ".fem", ".nas"), ALL_BUT_POLYGONS, point_data="none", cell_data="regions", region_name=PROPERTY
+    "nastran", (".bdf", ".fem", ".nas"), _CELLS, point_data="none", cell_data="regions", region_name=PROPERTY
 )
 
 

@@ -15,7 +15,7 @@ import meshio
 import numpy as np
 
 from .deck import read_lines
-from .format import ALL_BUT_POLYGONS, Document, Format, numbers_by_type
+from .format import Document, Format, numbers_by_type
 from .gmsh_read import RowOf
 from .text_tables import whole
 
@@ -98,7 +98,7 @@ class UnvFormat(Format):
         return [] if target is self and same_rows else list(document.skipped)
 
 
-UNV = UnvFormat("unv", (".unv",), ALL_BUT_POLYGONS, point_data="none", cell_data="regions", region_name=PROPERTY,
+UNV = UnvFormat("unv", (".unv",), tuple(_NUMBERS), point_data="none", cell_data="regions", region_name=PROPERTY,
                 cell_sets=True, point_sets=True)  # fmt: skip
 
 
