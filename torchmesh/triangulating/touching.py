@@ -108,17 +108,23 @@ def first_in_position(points: np.ndarray, vertices: np.ndarray, group: np.ndarra
 
 def _judged(points: np.ndarray, edges: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the `pairs` (P, 2) of edges that meet those that cross; and (Q, 2) edge and vertex, of vertices in an edge."""
+    low, high = (end(points[edges[:, 0]], points[edges[:, 1]]) for end in (np.minimum, np.maximum))
+    box = [np.ascontiguousarray(v) for v in (low[:, 0], high[:, 0], low[:, 1], high[:, 1])]
+    x, y = (np.ascontiguousarray(v) for v in points.T)
+    ends = [np.ascontiguousarray(v) for v in np.sort(edges, 1).T]
+    touching = np.logical_and(*(end[pairs[:, 0]] == end[pairs[:, 1]] for end in ends))
     within = []
-    touching = (np.sort(edges[pairs[:, 0]], 1) == np.sort(edges[pairs[:, 1]], 1)).all(1)
     for i, j in (pairs.T, pairs.T[::-1]):
         a, b = edges[i].T
+        left, right, bottom, top = (v[i] for v in box)
         for p in edges[j].T:
-            low, high = np.minimum(points[a], points[b]), np.maximum(points[a], points[b])
-            inside = (signs(points, a, b, p) == 0) & ((low <= points[p]) & (points[p] <= high)).all(1)
-            inside &= (p != a) & (p != b)
-            touching |= inside
-            within.append(np.stack([i[inside], p[inside]], 1))
-    return pairs[~touching], np.unique(np.concatenate(within), axis=0)
+            inside = (left <= x[p]) & (x[p] <= right) & (bottom <= y[p]) & (y[p] <= top) & (p != a) & (p != b)
+            near = np.flatnonzero(inside)
+            near = near[signs(points, a[near], b[near], p[near]) == 0]
+            touching[near] = True
+            within.append(i[near] * len(points) + p[near])
+    found = distinct(np.concatenate(within))
+    return pairs[~touching], np.stack([found // len(points), found % len(points)], 1)
 
 
 def _along(points: np.ndarray, edges: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
