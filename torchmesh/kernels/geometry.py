@@ -11,6 +11,9 @@ from torch import Tensor
 
 from .library import ADDRESS, INT64, call, function, pointer
 
+# Most searches for pairs of segments find no more than this.
+_ROOM = 64
+
 
 def measured(points: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """(T,) area, inverse mean ratio and uprightness over points (V, 2) float64; `mesh.measure._measure`."""
@@ -72,19 +75,18 @@ def crossing_pairs(points: np.ndarray, segments: np.ndarray, group: np.ndarray |
     """(P, 2) `triangulating.crossings.crossing_pairs`; None where more than `most` pairs overlap in x."""
     points, segments = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(segments, np.int64)
     group = None if group is None else np.ascontiguousarray(group, np.int64)
-    room = 64
-    while True:
-        out = np.empty((room, 2), np.int64)
-        found = call(
-            "tm_crossing_pairs", INT64, ADDRESS(points.ctypes.data), ADDRESS(segments.ctypes.data),
-            ADDRESS(None if group is None else group.ctypes.data), INT64(len(segments)), INT64(most), INT64(room),
-            ADDRESS(out.ctypes.data),
-        )  # fmt: skip
-        if found < 0:
-            return None
-        if found <= room:
-            return out[:found]
-        room = found
+    out = np.empty((_ROOM, 2), np.int64)
+    found = call(
+        "tm_crossing_pairs", INT64, ADDRESS(points.ctypes.data), ADDRESS(segments.ctypes.data),
+        ADDRESS(None if group is None else group.ctypes.data), INT64(len(segments)), INT64(most), INT64(_ROOM),
+        ADDRESS(out.ctypes.data),
+    )  # fmt: skip
+    if found < 0:
+        return None
+    if found > _ROOM:
+        out = np.empty((found, 2), np.int64)
+        call("tm_pairs_found", None, ADDRESS(out.ctypes.data))
+    return out[:found]
 
 
 def _over_triangles(name: str, points: Tensor, triangles: Tensor, *out: Tensor) -> None:

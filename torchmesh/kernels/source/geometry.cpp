@@ -159,9 +159,27 @@ TM_EXPORT void tm_twins(const std::int64_t* triangles, std::int64_t count, std::
     }
 }
 
+namespace torchmesh {
+namespace {
+
+// The pairs that the last search of this thread has found.
+thread_local std::vector<std::pair<std::int64_t, std::int64_t>> pairs_found;
+
+}  // namespace
+}  // namespace torchmesh
+
+// Writes the pairs that the last search of this thread has found, and forgets them.
+TM_EXPORT void tm_pairs_found(std::int64_t* out) {
+    for (const auto& pair : torchmesh::pairs_found) {
+        *out++ = pair.first;
+        *out++ = pair.second;
+    }
+    torchmesh::pairs_found = {};
+}
+
 // The pairs i < j of `segments` (count, 2) of one group that meet other than in a vertex both have, in order; a line is
-// swept over them.  Returns how many there are, of which `room` at most are written; -1 where more than `most` pairs
-// overlap in x.
+// swept over them.  Returns how many there are, which are written if there is `room` for them, and are kept for
+// `tm_pairs_found` if not; -1 where more than `most` pairs overlap in x.
 TM_EXPORT std::int64_t tm_crossing_pairs(const double* points, const std::int64_t* segments, const std::int64_t* group,
                                          std::int64_t count, std::int64_t most, std::int64_t room, std::int64_t* out) {
     struct Box {
@@ -176,7 +194,8 @@ TM_EXPORT std::int64_t tm_crossing_pairs(const double* points, const std::int64_
     std::sort(boxes.begin(), boxes.end(), [](const Box& a, const Box& b) {
         return a.left < b.left || (a.left == b.left && a.row < b.row);
     });
-    std::vector<std::pair<std::int64_t, std::int64_t>> found;
+    auto& found = torchmesh::pairs_found;
+    found.clear();
     std::int64_t looked = 0;
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         const Box& a = boxes[i];
@@ -190,11 +209,9 @@ TM_EXPORT std::int64_t tm_crossing_pairs(const double* points, const std::int64_
         }
     }
     std::sort(found.begin(), found.end());
-    for (std::size_t k = 0; k < found.size() && std::int64_t(k) < room; ++k) {
-        out[2 * k] = found[k].first;
-        out[2 * k + 1] = found[k].second;
-    }
-    return std::int64_t(found.size());
+    const std::int64_t pairs = std::int64_t(found.size());
+    if (pairs <= room) tm_pairs_found(out);
+    return pairs;
 }
 
 // The component of each triangle, neighbours across edges; edges that are blocked on both sides part.  Numbered by their
