@@ -31,7 +31,7 @@ FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
         (ImproveOptions.paper(), ["find_faults", "paper", "certify"]),
         (
             ImproveOptions(topology="keep"),
-            [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last", "better_the_sound", *END],
+            [*TANGLED, *KEPT, "tell_enough_flips", "smooth_slivers", "smooth_at_last", "better_the_sound", *END],
         ),
         (ImproveOptions(topology="full"), [*EXACT[:-1], *FULL, *END[2:]]),
         (
@@ -40,7 +40,7 @@ FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
         ),
         (
             ImproveOptions(topology="keep", smooth=SmoothOptions(targets=target_from(meshes.grid()))),
-            [*TANGLED, *KEPT, "smooth_slivers", "smooth_at_last", *END],
+            [*TANGLED, *KEPT, "tell_enough_flips", "smooth_slivers", "smooth_at_last", *END],
         ),
     ],
     ids=["default", "fast", "paper", "keep", "full", "slide", "targets"],
