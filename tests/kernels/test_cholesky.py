@@ -65,6 +65,21 @@ def test_meshes_of_a_batch_have_the_bits_that_they_have_alone(rng, monkeypatch):
         assert torch.equal(extended(batch, values), got), "groups of meshes change bits"
 
 
+def test_what_is_kept_of_the_last_pattern_serves_no_other(rng):
+    """Matrices of one size: the same pattern with other values, other patterns, and the first again."""
+    path, wheel = [(i, i + 1) for i in range(39)], [(0, i) for i in range(1, 40)]
+    right, solutions = rng.normal(size=(40, 2)), []
+    matrices = [graph(40, edges, rng) for edges in (path, path, wheel, path[:20], path)]
+    for dense in [*matrices, *matrices[::-1]]:
+        (factors,) = factorised(rows_of(dense), np.array([0, 40]), True)
+        out = np.empty_like(right)
+        factors.solve(right, out)
+        np.testing.assert_allclose(out, np.linalg.solve(dense, right), rtol=0, atol=1e-13)
+        solutions.append(out)
+    for there, back in zip(solutions[:5], solutions[:4:-1], strict=True):
+        np.testing.assert_array_equal(there, back)
+
+
 def test_a_matrix_without_an_inverse_is_refused_and_the_memory_is_given_back():
     dense = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
     rows = rows_of(dense)

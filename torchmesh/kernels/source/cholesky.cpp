@@ -7,6 +7,10 @@
 // SIAM, 2006, chapter 4).  There are no pivots: the matrices are those of Laplacians.
 #include "common.hpp"
 
+#include <memory>
+#include <mutex>
+#include <tuple>
+
 namespace torchmesh {
 namespace {
 
@@ -136,59 +140,109 @@ class Dissection {
     Index low_ = 0, zero_ = 1;
 };
 
-// The factors of one mesh.
-struct Factors {
-    std::vector<Index> order, rows;
-    std::vector<std::int64_t> start;
-    std::vector<double> lower, diagonal;
-    bool singular = false;
+// What the factors of a matrix owe to its pattern alone.
+struct Analysis {
+    std::vector<Index> offsets, columns;  // the pattern
+    std::vector<Index> order, number;     // number[order[i]] = i
+    std::vector<std::int64_t> start;      // column j of L has the entries start[j] ... start[j + 1] - 1
+    std::vector<Index> rows;              // their rows
+    std::vector<std::int64_t> reached;    // row i of L has the entries reached[i] ... reached[i + 1] - 1
+    std::vector<Index> pattern;           // their columns, each after those that it depends on
 
-    explicit Factors(const Matrix& k) : order(Dissection(k).order()), start(k.size + 1, 0), diagonal(k.size) {
+    explicit Analysis(const Matrix& k)
+        : offsets(k.offsets, k.offsets + k.size + 1), columns(k.columns, k.columns + k.offsets[k.size]),
+          order(Dissection(k).order()), number(k.size), start(k.size + 1, 0), reached(k.size + 1, 0) {
         const Index n = k.size;
-        std::vector<Index> number(n), parent(n), mark(n), filled(n), pattern(n), way(n);
         for (Index i = 0; i < n; ++i) number[order[i]] = i;
-        // The elimination tree, and how many entries the columns of L have.
-        for (Index i = 0; i < n; ++i) {
-            parent[i] = -1;
-            mark[i] = i;
-            for (Index e = k.offsets[order[i]]; e < k.offsets[order[i] + 1]; ++e)
-                for (Index j = number[k.columns[e]]; j < i && mark[j] != i; j = parent[j]) {
-                    if (parent[j] < 0) parent[j] = i;
-                    mark[j] = i;
-                    ++start[j + 1];
-                }
-        }
-        for (Index i = 0; i < n; ++i) start[i + 1] += start[i];
-        rows.resize(start[n]);
-        lower.resize(start[n]);
-        std::vector<double> y(n, 0.0);
-        std::fill(mark.begin(), mark.end(), -1);
-        // Row by row: L_i D y = K_i, over the columns that the tree reaches from the entries of K_i.
+        std::vector<Index> parent(n, -1), mark(n, -1), way(n), row(n);
+        pattern.reserve(16 * std::size_t(n));
+        // Row i of L has an entry in each column from which the elimination tree leads up to i from one of row i of K.
         for (Index i = 0; i < n; ++i) {
             Index top = n;
             mark[i] = i;
-            for (Index e = k.offsets[order[i]]; e < k.offsets[order[i] + 1]; ++e) {
-                Index j = number[k.columns[e]], length = 0;
+            for (Index e = offsets[order[i]]; e < offsets[order[i] + 1]; ++e) {
+                Index j = number[columns[e]], length = 0;
                 if (j > i) continue;
-                y[j] += k.values[e];
                 for (; mark[j] != i; j = parent[j]) {
+                    if (parent[j] < 0) parent[j] = i;
                     way[length++] = j;
                     mark[j] = i;
+                    ++start[j + 1];
                 }
-                while (length > 0) pattern[--top] = way[--length];
+                while (length > 0) row[--top] = way[--length];
+            }
+            pattern.insert(pattern.end(), row.begin() + top, row.end());
+            reached[i + 1] = std::int64_t(pattern.size());
+        }
+        for (Index i = 0; i < n; ++i) start[i + 1] += start[i];
+        rows.resize(pattern.size());
+        std::vector<std::int64_t> next(start.begin(), start.end() - 1);
+        for (Index i = 0; i < n; ++i)
+            for (std::int64_t r = reached[i]; r < reached[i + 1]; ++r) rows[next[pattern[r]]++] = i;
+    }
+
+    bool fits(const Matrix& k) const {
+        return Index(order.size()) == k.size && std::equal(offsets.begin(), offsets.end(), k.offsets) &&
+               std::equal(columns.begin(), columns.end(), k.columns);
+    }
+};
+
+using Analysed = std::shared_ptr<const Analysis>;
+
+// In the time loop of a simulation a mesh has the same pattern in each step: that of the last matrix is kept.
+class Last {
+  public:
+    // Matrices of more rows are not kept, so that what is kept has a few megabytes at most.
+    static constexpr Index ROWS = 20000;
+
+    Analysed of(const Matrix& k) {
+        if (k.size > ROWS) return std::make_shared<Analysis>(k);
+        Analysed found = get();
+        if (found && found->fits(k)) return found;
+        found = std::make_shared<Analysis>(k);
+        const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
+        if (lock) kept_ = found;
+        return found;
+    }
+
+  private:
+    Analysed get() {
+        // Nobody waits: a process that is forked while a thread holds the lock would wait for ever.
+        const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
+        return lock ? kept_ : nullptr;
+    }
+
+    std::mutex mutex_;
+    Analysed kept_;
+};
+
+Last last_analysis;
+
+// The factors of one mesh.
+struct Factors {
+    Analysed analysed;
+    std::vector<double> lower, diagonal;
+    bool singular = false;
+
+    Factors(const Matrix& k, Analysed of) : analysed(std::move(of)), lower(analysed->rows.size()), diagonal(k.size) {
+        const Analysis& a = *analysed;
+        std::vector<double> y(k.size, 0.0);
+        std::vector<std::int64_t> end(a.start.begin(), a.start.end() - 1);
+        // Row by row: L_i D y = K_i, over the columns that the tree reaches from the entries of K_i.
+        for (Index i = 0; i < k.size; ++i) {
+            for (Index e = k.offsets[a.order[i]]; e < k.offsets[a.order[i] + 1]; ++e) {
+                const Index j = a.number[k.columns[e]];
+                if (j <= i) y[j] += k.values[e];
             }
             double pivot = y[i];
             y[i] = 0;
-            for (; top < n; ++top) {
-                const Index j = pattern[top];
+            for (std::int64_t r = a.reached[i]; r < a.reached[i + 1]; ++r) {
+                const Index j = a.pattern[r];
                 const double value = y[j], entry = value / diagonal[j];
                 y[j] = 0;
-                const std::int64_t begin = start[j], end = begin + filled[j];
-                for (std::int64_t p = begin; p < end; ++p) y[rows[p]] -= lower[p] * value;
+                for (std::int64_t p = a.start[j]; p < end[j]; ++p) y[a.rows[p]] -= lower[p] * value;
                 pivot -= entry * value;
-                rows[end] = i;
-                lower[end] = entry;
-                ++filled[j];
+                lower[end[j]++] = entry;
             }
             diagonal[i] = pivot;
             if (pivot == 0) {
@@ -200,6 +254,7 @@ struct Factors {
 
     // x = K^-1 b for `columns` right-hand sides, both (size, columns).
     void solve(const double* b, Index columns, double* x, std::vector<double>& y) const {
+        const auto& [order, start, rows] = std::tie(analysed->order, analysed->start, analysed->rows);
         const Index n = Index(order.size());
         y.resize(std::size_t(n) * columns);
         for (Index i = 0; i < n; ++i)
@@ -242,7 +297,8 @@ TM_EXPORT void* tm_factorise(const std::int32_t* offsets, const std::int32_t* co
         std::vector<std::int32_t> own(size + 1), inside(offsets[last[m]] - begin);
         for (std::int32_t i = 0; i <= size; ++i) own[i] = offsets[first[m] + i] - begin;
         for (std::size_t i = 0; i < inside.size(); ++i) inside[i] = columns[begin + i] - std::int32_t(first[m]);
-        systems->factors[m] = new Factors({own.data(), inside.data(), values + begin, size});
+        const Matrix k{own.data(), inside.data(), values + begin, size};
+        systems->factors[m] = new Factors(k, meshes == 1 ? last_analysis.of(k) : std::make_shared<Analysis>(k));
         singular[m] = systems->factors[m]->singular;
     });
     return systems;
