@@ -23,7 +23,7 @@ def jittered(amount, n=4):
 def dense(system, entries):
     """The matrix in the order of the free coordinates."""
     shape = (system.size, system.size)
-    ordered = csc_matrix((entries, system.indices, system.indptr), shape=shape).toarray()
+    ordered = csc_matrix((entries, system.places.indices, system.places.indptr), shape=shape).toarray()
     return ordered[np.ix_(system.number, system.number)]
 
 

@@ -10,18 +10,26 @@ So phi(stretch, det) is a function F(p, q), and its Hessian over (a, b) has the 
 Kim, Analytic eigensystems for isotropic distortion energies, ACM Transactions on Graphics 38, 2019).  The direction is
 then one of descent, and Armijo's rule halves the step.
 
-Each mesh is minimised alone, by a sparse factorisation of its own.
+Each mesh is minimised alone, by a sparse factorisation of its own.  Compiled loops do the same for the energies that
+`untangle` minimises so (torchmesh/kernels/projected.py).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..mesh.triangle import Corners
-from .energies import Energy, slopes_and_curvatures
+from .energies import Energy, Regularised, TotalLiftedContent, slopes_and_curvatures
 from .jacobian import Target, invariants
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
+
+    from ..kernels.projected import CompiledSystem
 
 
 @dataclass(frozen=True)
@@ -89,40 +97,52 @@ class NewtonSystem:
         count = len(self.triangles)
         self.target = Target(*(torch.as_tensor(v, dtype=torch.float64).expand(len(triangles))[touched] for v in target))
         self.weight = torch.ones(count, dtype=torch.float64) if weight is None else weight[touched]
-        self.parts = _parts_of_corners(self.target)
-        # The same with a matrix for each triangle, (T, 4, 6).
-        self.by_triangle = self.parts.permute(2, 0, 1).contiguous()
+        self.columns = _columns_of_corners(self.target)
         self.moving = free.nonzero().squeeze(1)
-        row = torch.full((len(points), 2), -1, dtype=torch.int64)
-        row[free] = torch.arange(2 * int(free.sum())).view(-1, 2)
-        self.size = 2 * int(free.sum())
-        # The six coordinates of a triangle, and where its 36 products go.
-        self.rows = row[self.triangles].reshape(count, 6).numpy()
-        self.dump = np.where(self.rows < 0, self.size, self.rows)
-        i, j = np.repeat(self.rows, 6, 1), np.tile(self.rows, (1, 6))
-        self.used = ((i >= 0) & (j >= 0)).ravel()
-        # The diagonal belongs to the matrix even where no triangle touches it.
-        whole = np.arange(self.size)
-        self._order(np.append(i.ravel()[self.used], whole), np.append(j.ravel()[self.used], whole))
+        self.size = 2 * len(self.moving)
 
-    def _order(self, i: np.ndarray, j: np.ndarray) -> None:
-        """Number the unknowns in an order of few fill-ins, once, and find the place of each product in the matrix."""
+    @cached_property
+    def by_triangle(self) -> Tensor:
+        """(T, 4, 6) the linear map from the corners of a triangle to the parts of its J."""
+        return _parts_of_corners(self.columns)
+
+    @cached_property
+    def number(self) -> np.ndarray:
+        """(N,) the numbers of the unknowns in an order of few fill-ins; those of a vertex follow each other."""
         from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
 
-        n = self.size
+        n = len(self.moving)
+        row = torch.full((len(self.points),), -1, dtype=torch.int64)
+        row[self.moving] = torch.arange(n)
+        rows = row[self.triangles].numpy()
+        i, j = np.repeat(rows, 3, 1).ravel(), np.tile(rows, (1, 3)).ravel()
+        used = (i >= 0) & (j >= 0)
+        whole = np.arange(n)
+        i, j = np.append(i[used], whole), np.append(j[used], whole)
         pattern = csc_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
         like = csc_matrix((np.full(pattern.nnz, -1.0), pattern.indices, pattern.indptr), shape=(n, n))
         like.setdiag(float(np.diff(pattern.indptr).max()) + 1)
         factors = splu(like, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        self.number = factors.perm_c.astype(np.int64)
-        i, j = self.number[i], self.number[j]
-        cell, at = np.unique(j * n + i, return_inverse=True)
-        self.cell = at[: len(at) - n]
-        self.indices = (cell % n).astype(np.int32)
-        self.indptr = np.searchsorted(cell, np.arange(n + 1) * n).astype(np.int32)
-        self.diagonal = np.searchsorted(cell, np.arange(n) * (n + 1))
-        self.matrix = csc_matrix((np.zeros(len(cell)), self.indices, self.indptr), shape=(n, n))
+        number: np.ndarray = (2 * factors.perm_c.astype(np.int64)[:, None] + np.arange(2)).ravel()
+        return number
+
+    @cached_property
+    def places(self) -> "Places":
+        """Where products of the corners' coordinates go in the matrix."""
+        return Places.of(self)
+
+    @cached_property
+    def compiled(self) -> "CompiledSystem | None":
+        """The same for the compiled loops; None where they are not in use."""
+        from ..kernels.library import library
+        from ..kernels.projected import CompiledSystem
+
+        if library() is None:
+            return None
+        row = torch.full((len(self.points),), -1, dtype=torch.int32)
+        row[self.moving] = torch.from_numpy(self.number[::2] // 2).to(torch.int32)
+        return CompiledSystem(self.triangles, row, len(self.moving), self.columns)
 
     def invariants(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """(T,) stretch and det of J."""
@@ -150,8 +170,8 @@ class NewtonSystem:
         slope, block = _of_parts(a, b, slopes, curvatures, options)
         gradient, hessian = self.assembled(slope * self.weight, block * self.weight)
         # Where nothing holds a vertex, it stays.
-        held = hessian[self.diagonal]
-        hessian[self.diagonal] += np.where(held > 0, 1e-14 * held, 1e-14 * max(float(held.max(initial=0.0)), 1e-300))
+        held = hessian[self.places.diagonal]
+        hessian[self.places.diagonal] += np.where(held > 0, 1e-14 * held, 1e-14 * max(float(held.max(initial=0.0)), 1e-300))
         return gradient, hessian
 
     def jacobian_parts(self, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -161,19 +181,19 @@ class NewtonSystem:
 
     def assembled(self, slope: Tensor, block: Tensor) -> tuple[np.ndarray, np.ndarray]:
         """The gradient (N,) and the matrix entries that derivatives (4, T) and (4, 4, T) by the parts of J come to."""
-        parts = self.by_triangle
+        parts, places = self.by_triangle, self.places
         forces = (slope.T[:, None] @ parts).squeeze(1)
         products = parts.transpose(1, 2) @ block.permute(2, 0, 1) @ parts
-        gradient = np.bincount(self.dump.ravel(), forces.numpy().ravel(), self.size + 1)[: self.size]
-        return gradient, np.bincount(self.cell, products.numpy().ravel()[self.used], len(self.indices))
+        gradient = np.bincount(places.dump.ravel(), forces.numpy().ravel(), self.size + 1)[: self.size]
+        return gradient, np.bincount(places.cell, products.numpy().ravel()[places.used], len(places.indices))
 
     def solved(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         """(N,) the solution of the system with these entries; RuntimeError where the matrix is singular."""
         from scipy.sparse.linalg import splu
 
-        self.matrix.data = matrix
+        self.places.matrix.data = matrix
         factors = splu(
-            self.matrix,
+            self.places.matrix,
             permc_spec="NATURAL",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
@@ -190,6 +210,53 @@ class NewtonSystem:
         return there
 
 
+@dataclass(frozen=True)
+class Places:
+    """Where the 36 products of the six coordinates of each triangle go in a sparse matrix.
+
+    dump      (T, 6) the unknowns of the coordinates; those that are none are the last row, which is dropped
+    used      (36 T,) bool, the products of two unknowns
+    cell      of these, the entry of the matrix
+    indices, indptr  of the matrix, whose unknowns are in the order of `NewtonSystem.number`
+    diagonal  (N,) its entries on the diagonal
+    matrix    with entries that change
+    """
+
+    dump: np.ndarray
+    used: np.ndarray
+    cell: np.ndarray
+    indices: np.ndarray
+    indptr: np.ndarray
+    diagonal: np.ndarray
+    matrix: "csc_matrix"
+
+    @classmethod
+    def of(cls, system: NewtonSystem) -> "Places":
+        from scipy.sparse import csc_matrix
+
+        n, number = system.size, system.number
+        row = torch.full((len(system.points), 2), -1, dtype=torch.int64)
+        row[system.free] = torch.arange(n).view(-1, 2)
+        rows = row[system.triangles].reshape(-1, 6).numpy()
+        i, j = np.repeat(rows, 6, 1).ravel(), np.tile(rows, (1, 6)).ravel()
+        used = (i >= 0) & (j >= 0)
+        # The diagonal belongs to the matrix even where no triangle touches it.
+        whole = np.arange(n)
+        i, j = number[np.append(i[used], whole)], number[np.append(j[used], whole)]
+        cell, at = np.unique(j * n + i, return_inverse=True)
+        indices = (cell % n).astype(np.int32)
+        indptr = np.searchsorted(cell, np.arange(n + 1) * n).astype(np.int32)
+        return cls(
+            dump=np.where(rows < 0, n, rows),
+            used=used,
+            cell=at[: len(at) - n],
+            indices=indices,
+            indptr=indptr,
+            diagonal=np.searchsorted(cell, np.arange(n) * (n + 1)),
+            matrix=csc_matrix((np.zeros(len(cell)), indices, indptr), shape=(n, n)),
+        )
+
+
 def minimise_by_projection(
     system: NewtonSystem,
     points: Tensor,
@@ -202,6 +269,8 @@ def minimise_by_projection(
     enough  stop as soon as the determinants of all triangles are positive
     """
     options = options or ProjectedOptions()
+    if isinstance(energy, Regularised | TotalLiftedContent) and system.compiled is not None:
+        return Minimum(*system.compiled.minimised(points, system.weight, *_formula(energy), vars(options), enough))
     value, det = system.energy(points, energy)
     start, steps = value, 0
     while steps < options.max_iterations and not (enough and bool((det > 0).all())):
@@ -229,8 +298,15 @@ def minimise_by_projection(
     return Minimum(points, det, start, value, steps)
 
 
-def _parts_of_corners(target: Target) -> Tensor:
-    """(4, 6, T) the linear map from ax ay bx by cx cy to the parts a and b of J.
+def _formula(energy: Regularised | TotalLiftedContent) -> tuple[int, float, float]:
+    """The energy as the compiled loops know it: its kind, its epsilon or alpha, and theta."""
+    if isinstance(energy, Regularised):
+        return 0, float(energy.eps), energy.theta
+    return 1, float(energy.alpha), 0.0
+
+
+def _columns_of_corners(target: Target) -> Tensor:
+    """(T, 3, 2) the weights of the corners in the two columns of J.
 
     J is E times the lower triangular root of the matrix of g11, g12, g22.  It differs from E W^-1 by a turn from the
     right, which changes neither stretch nor det.
@@ -240,15 +316,18 @@ def _parts_of_corners(target: Target) -> Tensor:
     second = g12 / first
     third = (g22 - second * second).sqrt()
     zero = torch.zeros_like(first)
-    # The weights of the corners in the two columns of J.
-    columns = torch.stack([torch.stack([-first - second, first, second]), torch.stack([-third, zero, third])])
-    u, v = columns
-    parts = torch.zeros(4, 3, 2, u.shape[1], dtype=torch.float64)
-    parts[0, :, 0], parts[0, :, 1] = u / 2, v / 2
-    parts[1, :, 0], parts[1, :, 1] = -v / 2, u / 2
-    parts[2, :, 0], parts[2, :, 1] = u / 2, -v / 2
-    parts[3, :, 0], parts[3, :, 1] = v / 2, u / 2
-    return parts.view(4, 6, -1)
+    return torch.stack([-first - second, -third, first, zero, second, third], 1).view(-1, 3, 2)
+
+
+def _parts_of_corners(columns: Tensor) -> Tensor:
+    """(T, 4, 6) the linear maps from ax ay bx by cx cy to the parts a and b of J."""
+    u, v = columns.unbind(2)
+    parts = torch.zeros(len(columns), 4, 3, 2, dtype=torch.float64)
+    parts[:, 0, :, 0], parts[:, 0, :, 1] = u / 2, v / 2
+    parts[:, 1, :, 0], parts[:, 1, :, 1] = -v / 2, u / 2
+    parts[:, 2, :, 0], parts[:, 2, :, 1] = u / 2, -v / 2
+    parts[:, 3, :, 0], parts[:, 3, :, 1] = v / 2, u / 2
+    return parts.view(-1, 4, 6)
 
 
 def _of_parts(
