@@ -17,7 +17,7 @@ ENERGIES = {"regularised": Regularised(0.3), "lifted": TotalLiftedContent(0.1)}
 
 
 def scrambled(amount=0.4):
-    """The system of a square grid towards its own triangles, with weights, one vertex alone, and points thrown about."""
+    """The system of a square grid towards its own triangles, with weights, one vertex alone, points thrown about."""
     mesh = meshes.grid(5, 5)
     throw = torch.randn(mesh.points.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     points = torch.where(mesh.fixed[:, None], mesh.points, mesh.points + amount * throw)
@@ -41,7 +41,7 @@ def both(work):
 
 
 def assert_alike(one, two, tolerance):
-    assert one.iterations == two.iterations > 0
+    assert one.iterations == two.iterations > 2
     for name in ("points", "det"):
         torch.testing.assert_close(getattr(two, name), getattr(one, name), rtol=0, atol=tolerance)
     assert two.start == pytest.approx(one.start, rel=1e-12)
@@ -56,17 +56,17 @@ def test_newton_steps_are_those_of_torch(name, floors):
 
 
 def test_steps_of_levenberg_and_marquardt_are_those_of_torch():
-    # So much is asked for that some steps fail, and no triangle is large enough in the end.
-    options = LevenbergOptions(max_iterations=6, damping=1e-6)
+    # So much is asked for that no triangle is large enough in the end.
+    options = LevenbergOptions(max_iterations=6)
     assert_alike(*both(lambda points, system: push_areas(system, points, 0.9, options)), 1e-7)
 
 
 def test_pauses_change_no_bit(monkeypatch):
-    """Calls of one step, so that Python sees interrupts, come to what one call comes to; failed steps are among them."""
+    """Calls of one step, so that Python sees interrupts, come to what one call comes to, failed steps among them."""
     found = []
     for work in (10**9, 1):
         monkeypatch.setattr(projected, "_WORK", work)
-        points, system = scrambled(1.0)
+        points, system = scrambled(0.6)
         with library.using("compiled"):
             pushed = push_areas(system, points, 0.9, LevenbergOptions(max_iterations=12, damping=1e-9))
             found.append((pushed, minimise_by_projection(system, points, ENERGIES["regularised"])))

@@ -38,7 +38,9 @@ def test_the_gradient_is_that_of_untangle_beta_and_the_matrix_that_of_gauss_and_
     x = points[free].reshape(-1)
     jacobian = torch.autograd.functional.jacobian(lacks, x).numpy()
     np.testing.assert_allclose(gradient, 2 * jacobian.T @ lacks(x).numpy(), rtol=1e-10, atol=1e-12)
-    matrix = csc_matrix((entries, system.places.indices, system.places.indptr), shape=(system.size, system.size)).toarray()
+    matrix = csc_matrix(
+        (entries, system.places.indices, system.places.indptr), shape=(system.size, system.size)
+    ).toarray()
     matrix = matrix[np.ix_(system.number, system.number)]
     np.testing.assert_allclose(matrix, 2 * jacobian.T @ jacobian, rtol=1e-10, atol=1e-10)
     assert system.energy(points, UntangleBeta(0.15))[0] == pytest.approx(float(lacks(x).square().sum()))

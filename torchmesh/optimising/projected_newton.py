@@ -91,14 +91,15 @@ class NewtonSystem:
     def __init__(
         self, points: Tensor, triangles: Tensor, free: Tensor, target: Target, weight: Tensor | None = None
     ) -> None:
-        self.points, self.free = points, free
         touched = free[triangles].any(1)
-        self.triangles = triangles[touched].contiguous()
+        self.points, self.triangles = points, triangles[touched].contiguous()
+        # A vertex of no triangle stays: nothing holds it, so that no damping would make its system regular.
+        self.free = free & torch.zeros_like(free).index_fill_(0, self.triangles.ravel(), True)
         count = len(self.triangles)
         self.target = Target(*(torch.as_tensor(v, dtype=torch.float64).expand(len(triangles))[touched] for v in target))
         self.weight = torch.ones(count, dtype=torch.float64) if weight is None else weight[touched]
         self.columns = _columns_of_corners(self.target)
-        self.moving = free.nonzero().squeeze(1)
+        self.moving = self.free.nonzero().squeeze(1)
         self.size = 2 * len(self.moving)
 
     @cached_property
@@ -171,7 +172,9 @@ class NewtonSystem:
         gradient, hessian = self.assembled(slope * self.weight, block * self.weight)
         # Where nothing holds a vertex, it stays.
         held = hessian[self.places.diagonal]
-        hessian[self.places.diagonal] += np.where(held > 0, 1e-14 * held, 1e-14 * max(float(held.max(initial=0.0)), 1e-300))
+        hessian[self.places.diagonal] += np.where(
+            held > 0, 1e-14 * held, 1e-14 * max(float(held.max(initial=0.0)), 1e-300)
+        )
         return gradient, hessian
 
     def jacobian_parts(self, points: Tensor) -> tuple[Tensor, Tensor]:
