@@ -92,7 +92,10 @@ class Sheet:
     def save(self, path: Path) -> None:
         """Write the sheet in the format of the path's extension, whole or not at all."""
         with replacing(path) as whole:
-            self.figure.savefig(whole, format=path.suffix[1:].lower(), dpi=_DOTS_PER_INCH)
+            form = path.suffix[1:].lower()
+            # The file is a tenth larger than it could be, and pressed in half of the time.
+            pressed = {"pil_kwargs": {"compress_level": 1}} if form == "png" else {}
+            self.figure.savefig(whole, format=form, dpi=_DOTS_PER_INCH, **pressed)
 
     def _floor(self, row: int) -> float:
         """The height of a row's lower side above the bottom of the sheet."""
