@@ -24,7 +24,7 @@ ALLOWED = {
     "transferring": "optimising triangulating mesh kernels errors status",
     "curving": "mesh kernels errors status",
     "files": "curving transferring mesh errors status",
-    "layering": "mesh errors status",
+    "layering": "mesh kernels errors status",
     "flipping": "optimising mesh kernels errors status",
     "untangling": "optimising triangulating mesh errors status",
     "warping": "optimising mesh kernels errors status",

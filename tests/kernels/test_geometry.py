@@ -8,7 +8,9 @@ from meshes import delaunay, grid, jittered, ring, scrambled
 
 from torchmesh import join
 from torchmesh.kernels import library
+from torchmesh.layering.layers import low_half_edges
 from torchmesh.mesh import connectivity, measure
+from torchmesh.mesh.detached import without_autograd
 from torchmesh.mesh.ragged import spread
 from torchmesh.mesh.units import centre_and_unit
 from torchmesh.triangulating import arrays, crossings
@@ -64,6 +66,17 @@ def test_components_are_the_same(generator):
             for blocked in (None, walls, walls | walls[twin]):
                 expected, got = both(lambda t=triangles, w=twin, b=blocked: connectivity.triangle_components(t, w, b))
                 assert torch.equal(expected, got)
+
+
+def test_low_triangles_are_the_same(generator):
+    for mesh in batches(generator):
+        among = torch.rand(3 * len(mesh.triangles), generator=generator) < 0.6
+        for walls in (mesh.twin < 0, among, torch.zeros_like(among)):
+            for share in (0.3, 0.5, 1.0):
+                expected = low_half_edges(mesh, walls, share)
+                got = without_autograd(low_half_edges)(mesh, walls, share)
+                assert torch.equal(expected, got)
+                assert not len(got) or bool(walls[got].all())
 
 
 def test_signs_of_rows_are_the_same(rng):

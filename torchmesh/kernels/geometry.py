@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .library import ADDRESS, INT64, call, function, pointer
+from .library import ADDRESS, DOUBLE, INT64, call, function, pointer
 
 # Most searches for pairs of segments find no more than this.
 _ROOM = 64
@@ -59,6 +59,16 @@ def triangle_components(twin: Tensor, blocked: Tensor | None) -> Tensor:
         twin.data_ptr(), pointer(blocked), out.numel(), stack.data_ptr(), out.data_ptr()
     )
     return out
+
+
+def low_half_edges(points: Tensor, triangles: Tensor, among: Tensor, share: float) -> Tensor:
+    """(N,) `layering.layers.low_half_edges` of points (V, 2) float64 and the half-edges `among` (3T,) bool."""
+    points, triangles, among = points.contiguous(), triangles.contiguous(), among.contiguous()
+    out = torch.empty(among.numel(), dtype=torch.int64)
+    found = function("tm_low_half_edges", INT64, ADDRESS, ADDRESS, ADDRESS, INT64, DOUBLE, ADDRESS)(
+        points.data_ptr(), triangles.data_ptr(), among.data_ptr(), among.numel(), share, out.data_ptr()
+    )
+    return out[:found].clone()
 
 
 def row_signs(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -3,5 +3,5 @@
     layers     rows of thin quadrilaterals, found by walking outwards from the walls
     following  each vertex of a layer carried along with the wall below it
 
-Imports from `mesh`.
+Imports from `mesh` and `kernels`.
 """

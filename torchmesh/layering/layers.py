@@ -17,8 +17,10 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from ..kernels import geometry
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
+from ..mesh.detached import loops_may_read
 from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import upright
 from ..mesh.ragged import true_rows
@@ -122,17 +124,48 @@ def find_layers(batch: MeshBatch, options: LayerOptions | None = None, known: Te
     known  (T,) bool, which triangles are upright, if the caller has measured it
     """
     options = options or LayerOptions()
-    walk = _Walk(batch, options)
-    walk.leave_high_triangles()
-    if len(walk.front) < _SIDE_BY_SIDE:
+    blocked = batch.twin < 0
+    if len(batch.constrained_edges):
+        blocked = blocked | constrained_half_edges(batch)
+    # Even where the upper edge of a quadrilateral is not parallel to the wall, its lower triangle is hardly twice as
+    # high as the whole.  Hardly any triangle at a wall is so low, mostly.
+    walls = low_half_edges(batch, blocked, 2 * options.first)
+    if not _side_by_side(batch, walls):
         return _joined([], batch)
+    walk = _Walk(batch, blocked, options, walls)
     is_upright = upright(batch) if known is None else known
     found = _walked(walk, batch, is_upright)
     walls = found.wall.unique()
     if 0 < len(walls) < len(walk.begun):
         # Strips that came to nothing may have stood in the way of others.
-        found = _walked(_Walk(batch, options, walls), batch, is_upright)
+        found = _walked(_Walk(batch, blocked, options, walls), batch, is_upright)
     return found
+
+
+def low_half_edges(batch: MeshBatch, among: Tensor, share: float) -> Tensor:
+    """(N,) int64, ascending, those of the half-edges `among` (3T,) bool whose triangle is low.
+
+    It is at most `share` times as high above the half-edge as the half-edge is long.
+    """
+    if loops_may_read(batch.points):
+        return geometry.low_half_edges(batch.points.to(torch.float64), batch.triangles, among, share)
+    h, vertex, points = true_rows(among), tails(batch.triangles), batch.points.to(torch.float64)
+    p, q, apex = (points[vertex[g]] for g in (h, next_in_triangle(h), previous_in_triangle(h)))
+    edge = q - p
+    return h[_cross(edge, apex - p) <= share * (edge * edge).sum(1)]
+
+
+def _side_by_side(batch: MeshBatch, walls: Tensor) -> bool:
+    """Whether one of the half-edges `walls` (N,) has others at both ends, as the three of a first row have."""
+    if len(walls) < _SIDE_BY_SIDE:
+        return False
+    vertex = tails(batch.triangles)
+    first, last = vertex[walls], vertex[next_in_triangle(walls)]
+    begins = torch.zeros(len(batch.points), dtype=torch.bool, device=walls.device)
+    begins[first] = True
+    ends = torch.zeros_like(begins)
+    ends[last] = True
+    return bool((begins[last] & ends[first]).any())
 
 
 def _walked(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
@@ -154,44 +187,23 @@ def _walked(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
 class _Walk:
     """The walk from the walls outwards, all strips at once.
 
-    front  (S,) int64, the half-edges at their upper ends
-    begun  (N,) int64, the walls on which a first row stands
-    free   (T,) bool, the upright triangles that belong to no strip
+    blocked  (3T,) bool, the half-edges of walls
+    front    (S,) int64, the half-edges at their upper ends
+    begun    (N,) int64, the walls on which a first row stands
+    free     (T,) bool, the upright triangles that belong to no strip
     """
 
     free: Tensor
 
-    def __init__(self, batch: MeshBatch, options: LayerOptions, walls: Tensor | None = None) -> None:
+    def __init__(self, batch: MeshBatch, blocked: Tensor, options: LayerOptions, walls: Tensor) -> None:
         self.options = options
         self.points = batch.points.to(torch.float64)
-        self.twin = batch.twin
+        self.twin, self.blocked = batch.twin, blocked
         # Half-edge 3 t + k runs from corner k of triangle t to the next one.
         self.tail, self.head = tails(batch.triangles), heads(batch.triangles)
-        self.blocked = self.twin < 0
-        if len(batch.constrained_edges):
-            self.blocked = self.blocked | constrained_half_edges(batch)
-        self.front = self.wall = self.begun = true_rows(self.blocked) if walls is None else walls
-        self.length = self._length(self.wall)
+        self.front = self.wall = self.begun = walls
+        self.length = self._length(walls)
         self.below = torch.full_like(self.length, torch.inf)
-
-    def leave_high_triangles(self) -> None:
-        """Narrow the front to where the triangle at the wall is low enough for a first row: hardly any, mostly."""
-        h = self.front
-        p, q, apex = (self.points[self.tail[g]] for g in (h, next_in_triangle(h), previous_in_triangle(h)))
-        # Even where the upper edge of a quadrilateral is not parallel to the wall, its lower triangle is hardly twice
-        # as high as the whole.
-        low = _cross(q - p, apex - p) <= 2 * self.options.first * self.length * self.length
-        if not self._side_by_side(h[low]):
-            low = torch.zeros_like(low)
-        self.front, self.wall, self.length, self.below = (v[low] for v in (h, self.wall, self.length, self.below))
-
-    def _side_by_side(self, walls: Tensor) -> bool:
-        """Whether one of the `walls` (N,) has others at both ends, as the three of a first row have."""
-        begins = torch.zeros(len(self.points), dtype=torch.bool, device=walls.device)
-        begins[self.tail[walls]] = True
-        ends = torch.zeros_like(begins)
-        ends[self.head[walls]] = True
-        return bool((begins[self.head[walls]] & ends[self.tail[walls]]).any())
 
     def _length(self, h: Tensor) -> Tensor:
         return (self.points[self.head[h]] - self.points[self.tail[h]]).norm(dim=1)

@@ -94,7 +94,7 @@ class Sheet:
         with replacing(path) as whole:
             form = path.suffix[1:].lower()
             # The file is a tenth larger than it could be, and pressed in half of the time.
-            pressed = {"pil_kwargs": {"compress_level": 1}} if form == "png" else {}
+            pressed: dict[str, Any] = {"pil_kwargs": {"compress_level": 1}} if form == "png" else {}
             self.figure.savefig(whole, format=form, dpi=_DOTS_PER_INCH, **pressed)
 
     def _floor(self, row: int) -> float:

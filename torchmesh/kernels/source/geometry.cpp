@@ -74,6 +74,22 @@ bool meet(const double* points, const std::int64_t* one, const std::int64_t* two
 
 using torchmesh::at;
 
+// The half-edges `among` (count,) whose triangle is at most `share` times as high above them as they are long; their
+// number is returned.
+TM_EXPORT std::int64_t tm_low_half_edges(const double* points, const std::int64_t* triangles, const std::uint8_t* among,
+                                         std::int64_t count, double share, std::int64_t* out) {
+    std::int64_t found = 0;
+    for (std::int64_t h = 0; h < count; ++h) {
+        if (!among[h]) continue;
+        const std::int64_t first = h - h % 3;
+        const auto p = at(points, triangles[h]), q = at(points, triangles[first + (h + 1) % 3]),
+                   apex = at(points, triangles[first + (h + 2) % 3]);
+        const double ex = q.x - p.x, ey = q.y - p.y;
+        if (ex * (apex.y - p.y) - ey * (apex.x - p.x) <= share * (ex * ex + ey * ey)) out[found++] = h;
+    }
+    return found;
+}
+
 TM_EXPORT void tm_row_signs(const double* points, const std::int64_t* a, const std::int64_t* b, const std::int64_t* c,
                             std::int64_t count, std::int8_t* out) {
     for (std::int64_t i = 0; i < count; ++i) out[i] = std::int8_t(torchmesh::sign(points, a[i], b[i], c[i]));
