@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from .block_factors import BlockFactors, handles
 from .library import ADDRESS, INT32, INT64, call, pointer, threads
 
 # A call of the library comes back after about so many triangles, so that Python sees interrupts.
@@ -21,6 +22,7 @@ class _Systems(ctypes.Structure):
         ("triangle_offsets", ADDRESS), ("offsets", ADDRESS), ("systems", INT64),
         ("diagonal", ADDRESS), ("right", ADDRESS), ("tolerance", ADDRESS), ("max_iterations", INT64),
         ("x", ADDRESS), ("iterations", ADDRESS), ("converged", ADDRESS),
+        ("orders", ADDRESS), ("factors", ADDRESS),
     ]  # fmt: skip
 
 
@@ -33,6 +35,7 @@ def solved(
     right: Tensor,
     tolerance: Tensor | float,
     max_iterations: int,
+    factors: BlockFactors | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """x (N,), and per system (B,) the steps taken and whether it converged.
 
@@ -41,6 +44,7 @@ def solved(
     triangle_offsets, offsets  (B+1,) the triangles and the unknowns of each system
     diagonal, right            (N,)
     tolerance                  a number or (B,)
+    factors                    of Hessians nearby, for the preconditioner; None: the diagonal
     """
     systems = len(offsets) - 1
     columns = [torch.as_tensor(v, dtype=torch.float64).contiguous() for v in target]
@@ -53,7 +57,7 @@ def solved(
         *(pointer(v) for v in whole), (ADDRESS * 4)(*(pointer(v) for v in columns)),
         (INT64 * 4)(*(int(v.dim() > 0) for v in columns)), whole[0].shape[1],
         pointer(rest[0]), pointer(rest[1]), systems, pointer(rest[2]), pointer(rest[3]), pointer(limits),
-        max_iterations, pointer(x), pointer(iterations), pointer(converged),
+        max_iterations, pointer(x), pointer(iterations), pointer(converged), *handles(factors),
     )  # fmt: skip
     ends = rest[0].tolist()
     start = 0

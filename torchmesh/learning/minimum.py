@@ -13,20 +13,19 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import holding
-from ..mesh.means import vertex_size
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any, spread
 from ..mesh.triangle import Corners
-from ..optimising.blocks import BLOCK
 from ..optimising.conjugate_gradients import solve
 from ..optimising.hessian import Hessian
-from ..optimising.jacobian import Target, equilateral, invariants
+from ..optimising.jacobian import Target, invariants
 from ..optimising.newton import NewtonOptions, NewtonProblem, newton
-from ..optimising.objective import Packing, pack
+from ..optimising.objective import Packing
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
 from ..untangling.options import UntangleOptions
 from .aims import Aims
+from .nearby import Nearby, Posed, packed
 from .refusals import FirstOnly
 
 
@@ -82,21 +81,30 @@ class LayerInfo:
 
 
 def minimum(
-    points: Tensor, start: MeshBatch, options: LayerOptions | None = None, aims: Aims | None = None
-) -> tuple[Tensor, LayerInfo]:
+    points: Tensor,
+    start: MeshBatch,
+    options: LayerOptions | None = None,
+    aims: Aims | None = None,
+    near: Tensor | None = None,
+    last: Nearby | None = None,
+) -> tuple[Tensor, LayerInfo, Nearby]:
     """The minimum of the energy near the valid meshes of `start`, differentiable in the fixed rows of `points`.
 
     points  (V, 2) float32 or float64; `start.points` must have the same values at fixed vertices
     aims    what triangles should look like, which may require gradients; None: equilateral
+    near    (V, 2) points at whose Hessians the linear systems of Newton's method are preconditioned; None: the start
+    last    what another call has returned, so that it need not be computed again
 
-    Returns the points (V, 2) of the minimum and how it was reached.
+    Returns the points (V, 2) of the minimum, how it was reached, and the Hessians there.
     """
     options, aims = options or LayerOptions(), aims or Aims()
     coefficients = aims.coefficients(start)
+    posed = Posed(aims.energy(options.smooth), None if coefficients is None else coefficients.detach())
+    held = holding(start, options.smooth.interfaces)
     with torch.no_grad():
-        state, info = _minimise(holding(start, options.smooth.interfaces), options, aims, coefficients)
+        state, info = _minimise(held, options, posed, held if near is None else held.with_points(near), last)
     out: Tensor = _Minimum.apply(points, coefficients, state, options)
-    return out, info
+    return out, info, state.nearby
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +116,7 @@ class _State:
     x        their unknowns at the minimum
     anchors  (A,) the vertices whose coordinates are packing.anchored, in its order
     fixed    (V,) bool, vertices that may not move
+    nearby   the Hessians at `points`
     """
 
     points: Tensor
@@ -115,11 +124,12 @@ class _State:
     x: Tensor
     anchors: Tensor
     fixed: Tensor
+    nearby: Nearby
 
     @functools.cached_property
     def hessian(self) -> Hessian:
         """Of the energy at the minimum."""
-        return self.problem.hessian(self.x)
+        return self.problem.hessian(self.x, self.nearby.factors)
 
     def solved(self, right: Tensor, options: LayerOptions) -> Tensor:
         """The unknowns u with H u = right, both of the length of x."""
@@ -206,13 +216,17 @@ def _gradients(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor | None]:
 
 
 def _minimise(
-    start: MeshBatch, options: LayerOptions, aims: Aims, coefficients: Tensor | None
+    start: MeshBatch, options: LayerOptions, posed: Posed, near: MeshBatch, last: Nearby | None
 ) -> tuple[_State, LayerInfo]:
     """Newton's method from `start`, each valid mesh with its own step and stopping test."""
     valid = ~segment_any(~upright(start), start.triangle_offsets)
-    packing = _packed(start, valid)
-    problem = _problem(start, packing, options, aims, coefficients)
-    x, step = newton(problem, packing.unknowns, valid, options)
+    packing = packed(start, valid)
+    problem = posed.over(start, packing)
+    orders = problem.orders(None if last is None else last.orders)
+    known = Nearby(near, valid, posed, orders)
+    if last is not None and last.is_at(near, valid, posed):
+        known = last
+    x, step = newton(problem, packing.unknowns, valid, options, known.factors)
     points = packing.unpack(x, start.points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh stays where it started.
     flat = segment_any(~upright(start.with_points(points)), start.triangle_offsets) & valid
@@ -221,32 +235,13 @@ def _minimise(
     at = packing
     if not bool(converged.all()):
         # Only meshes at a minimum have a derivative.
-        at = _packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
+        at = packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
         x = at.unknowns
-        problem = _problem(start, at, options, aims, coefficients)
-    state = _State(points, problem, x, _anchors(start, at), start.fixed)
+        problem = posed.over(start, at)
+    there = start.with_points(points)
+    state = _State(points, problem, x, _anchors(start, at), start.fixed, Nearby(there, converged, posed, orders))
     status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
-    return state, LayerInfo(valid, converged, step, status, start.with_points(points))
-
-
-def _packed(start: MeshBatch, which: Tensor, points: Tensor | None = None) -> Packing:
-    """The free vertices of the meshes `which` (B,) as unknowns, at `points` (V, 2) or where they start."""
-    free = ~start.fixed & spread(which, start.point_offsets)
-    points = start.points if points is None else points
-    return pack(points, start.triangles, free, start.point_offsets, start.triangle_offsets)
-
-
-def _problem(
-    start: MeshBatch, packing: Packing, options: LayerOptions, aims: Aims, coefficients: Tensor | None
-) -> NewtonProblem:
-    """The energy that is minimised, over the packed meshes."""
-    target = equilateral()
-    if coefficients is not None:
-        unit = spread(packing.unit, packing.triangle_offsets)
-        target = Target(*(coefficients.detach()[:, packing.triangles] * unit * unit))
-    size = packing.spread_vertices(vertex_size(start) / spread(packing.unit, start.point_offsets))
-    rows = packing.block_offsets * BLOCK
-    return NewtonProblem(packing, aims.energy(options.smooth), target, torch.where(size > 0, size, 1.0), rows)
+    return state, LayerInfo(valid, converged, step, status, there)
 
 
 def _anchors(mesh: MeshBatch, packing: Packing) -> Tensor:

@@ -15,7 +15,7 @@ other fixed vertices.  Connectivity does not change, or is held for the derivati
 """
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -39,6 +39,7 @@ from ..warping.femwarp import femwarp
 from .aims import Aims
 from .mesh_buffers import WithMesh
 from .minimum import LayerInfo, LayerOptions, minimum
+from .nearby import Nearby
 from .refusals import outside_graphs, refuse_transforms
 
 __all__ = ["LayerInfo", "LayerOptions", "Smooth", "Untangle"]
@@ -68,6 +69,11 @@ class _Layer(WithMesh):
         self.options = options or LayerOptions()
         self.on_failure = on_failure
         self.info: LayerInfo | None = None
+        self._last: Nearby | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is remembered of the last pass belongs to this process.
+        return self.__dict__ | {"_last": None}
 
     def extra_repr(self) -> str:
         return f"{self.mesh}, on_failure={self.on_failure!r}"
@@ -121,22 +127,25 @@ class _Layer(WithMesh):
         aims = Aims.of(given, targets, sizes, self.options.size_weight)
         with without_autocast():
             with torch.no_grad():
-                found, status = self._found(given, unfit, start, aims)
-            out, info = minimum(points, found, self.options, aims)
+                found, status, near = self._found(given, unfit, start, aims)
+            out, info, self._last = minimum(points, found, self.options, aims, near, self._last)
         self.info = replace(info, status=torch.where(info.valid, info.status, status))
         return out
 
     def _found(
         self, given: MeshBatch, unfit: Tensor, start: "Tensor | MeshBatch | None", aims: Aims
-    ) -> tuple[MeshBatch, Tensor]:
-        """Valid meshes where there are such, from `start` or from nothing, and why (B,) the others are not valid."""
+    ) -> tuple[MeshBatch, Tensor, Tensor | None]:
+        """Valid meshes where there are such, from `start` or from nothing, and why (B,) the others are not valid.
+
+        Then the points (V, 2) of `start` where it served, and those of the meshes elsewhere; None without `start`.
+        """
         status = torch.full((len(given),), int(Status.INVERTED), device=given.points.device)
         if start is None:
-            return self._valid(given, unfit, aims)
-        warm, tangled = started(given, start, unfit)
+            return *self._valid(given, unfit, aims), None
+        warm, tangled, before = started(given, start, unfit)
         cold = tangled | unfit
         if not bool(cold.any()):
-            return warm, status
+            return warm, status, before
         again = cold & ~unfit & self._stuck(given, start)
         again &= segment_any(~upright(given), given.triangle_offsets)
         found = warm
@@ -145,7 +154,7 @@ class _Layer(WithMesh):
                 part, why = self._valid(come_from.select(at), unfit[at], aims.select(given, at), resumed=resumed)
                 status[at] = why
                 found = put(found, at, part)
-        return found, status
+        return found, status, torch.where(spread(cold, given.point_offsets)[:, None], found.points, before)
 
     def _stuck(self, given: MeshBatch, start: "Tensor | MeshBatch") -> Tensor:
         """(B,) bool: the meshes of `start` that this layer has just tried in vain to make valid, and may go on with."""
@@ -168,10 +177,10 @@ class _Layer(WithMesh):
         return better, info.status
 
 
-def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> tuple[MeshBatch, Tensor]:
+def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> tuple[MeshBatch, Tensor, Tensor]:
     """The given meshes with the interior of `start`, carried along with the boundary where that is needed and helps.
 
-    Returns them, and (B,) bool which of them have inverted triangles.
+    Returns them, (B,) bool which of them have inverted triangles, and the points (V, 2) of `start`.
     """
     points = start.points if isinstance(start, MeshBatch) else start
     triangles, twin = (start.triangles, start._twin) if isinstance(start, MeshBatch) else (given.triangles, given._twin)
@@ -191,7 +200,7 @@ def started(given: MeshBatch, start: "Tensor | MeshBatch", unfit: Tensor) -> tup
         part = before.select(bad)
         warm = put(warm, bad, femwarp(part, given.points[spread(bad, given.point_offsets)]))
         tangled = segment_any(~upright(warm), warm.triangle_offsets)
-    return warm, tangled
+    return warm, tangled, before.points
 
 
 def _same_meshes(one: MeshBatch, other: MeshBatch) -> bool:

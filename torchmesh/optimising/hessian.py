@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..kernels.block_factors import BlockFactors
 from ..kernels.hessian import solved
 from ..kernels.library import library_for
 from ..mesh.triangle import Corners
@@ -41,6 +42,7 @@ class Hessian:
     slopes  (2, T) phi by stretch and by det
     curvatures  (3, T) phi by stretch twice, by stretch and det, by det twice
     triangle_offsets  (B+1,) the triangles of each of several meshes that share no unknown; None: nobody knows
+    factors  of Hessians nearby, with which systems are solved in fewer steps; None: there are none
     """
 
     rows: Tensor
@@ -50,6 +52,7 @@ class Hessian:
     slopes: Tensor
     curvatures: Tensor
     triangle_offsets: Tensor | None = None
+    factors: BlockFactors | None = None
 
     @classmethod
     def at(
@@ -59,13 +62,14 @@ class Hessian:
         energy: Energy,
         target: Target,
         triangle_offsets: Tensor | None = None,
+        factors: BlockFactors | None = None,
     ) -> "Hessian":
         """At `coordinates` (N,); the curvatures are those of the energy's `value`, by autograd."""
         rows = rows.long()
         t = Corners(*coordinates.detach()[rows])
         edges = torch.stack(edge_coordinates(t)).view(2, 2, -1)
         derivatives = slopes_and_curvatures(energy, *invariants(t, target))
-        return cls(rows, len(coordinates), edges, target, *derivatives, triangle_offsets)
+        return cls(rows, len(coordinates), edges, target, *derivatives, triangle_offsets, factors)
 
     def solved(
         self, right: Tensor, diagonal: Tensor, offsets: Tensor, tolerance: Tensor | float, max_iterations: int
@@ -75,7 +79,7 @@ class Hessian:
             return None
         triangles = self.rows, self.edges, self.slopes, self.curvatures
         known = triangles, self.target, self.triangle_offsets
-        return solved(*known, offsets, diagonal, right, tolerance, max_iterations)
+        return solved(*known, offsets, diagonal, right, tolerance, max_iterations, self.factors)
 
     def __matmul__(self, u: Tensor) -> Tensor:
         """(N,) the product with u (N,)."""

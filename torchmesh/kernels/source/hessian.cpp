@@ -1,5 +1,5 @@
 // Linear systems with the Hessians of meshes, by conjugate gradients, one mesh after the other or in threads.
-#include "hessian.hpp"
+#include "block_factors.hpp"
 
 namespace torchmesh {
 namespace {
@@ -20,9 +20,14 @@ struct SystemsArgument {
     double* x;
     std::int64_t* iterations;
     std::uint8_t* converged;
+    const Eliminations* orders;        // or null
+    const FactorsOfMeshes* factors;    // near the solution, or null
 };
 
 constexpr int TILE = 128;
+
+// Steps with factors of another point at most, before those of this point are computed: twice what those cost.
+constexpr std::int64_t FEW = 10;
 
 TM_INLINE void add_product(const HessianTriangles& of, const double* TM_RESTRICT u, double* TM_RESTRICT out) {
     double d[4][TILE], f[4][TILE];
@@ -96,8 +101,11 @@ void solve(const SystemsArgument& all, std::int64_t system) {
     const std::int64_t first = all.offsets[system], n = all.offsets[system + 1] - first;
     std::vector<std::int32_t> rows;
     const HessianTriangles of = triangles_of(all, system, rows);
-    const Solution found = solve_with_hessian(of, n, n + 1, all.diagonal + first, all.right + first,
-                                              all.tolerance[system], all.max_iterations, all.x + first);
+    Solution found = solve_with_factors(of, n, n + 1, all.right + first, all.tolerance[system], all.max_iterations,
+                                        all.x + first, order_of(all.orders, system), factors_of(all.factors, system));
+    if (!found.converged)
+        found = solve_with_hessian(of, n, n + 1, all.diagonal + first, all.right + first, all.tolerance[system],
+                                   all.max_iterations, all.x + first);
     all.iterations[system] = found.iterations;
     all.converged[system] = found.converged;
 }
@@ -106,13 +114,45 @@ void solve(const SystemsArgument& all, std::int64_t system) {
 
 TM_DISPATCH double dot(std::int64_t n, const double* u, const double* v) { return inner_product(n, u, v); }
 
+void add_diagonal(const HessianTriangles& of, std::vector<double>& diagonal) {
+    std::fill(diagonal.begin(), diagonal.end(), 0.0);
+    for (std::int64_t t = 0; t < of.count; ++t) {
+        const double second[4] = {of.column(0)[t], of.column(4)[t], of.column(7)[t], of.column(9)[t]};
+        for (int k = 0; k < 2; ++k)
+            diagonal[std::size_t(of.rows[k][t])] += (second[k] + second[k + 2]) + 2 * of.column(k == 0 ? 2 : 6)[t];
+        for (int k = 0; k < 4; ++k) diagonal[std::size_t(of.rows[k + 2][t])] += second[k];
+    }
+}
+
 Solution solve_with_hessian(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* diagonal,
                             const double* right, double tolerance, std::int64_t max_iterations, double* x) {
     const auto product = [&](const double* u, double* image) {
         std::fill(image, image + length, 0.0);
         add_hessian_product(of, u, image);
     };
-    return conjugate_gradients(n, length, product, diagonal, right, tolerance, max_iterations, x);
+    return conjugate_gradients(n, length, product, Diagonal(n, diagonal), right, tolerance, max_iterations, x);
+}
+
+Solution solve_with_factors(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* right,
+                            double tolerance, std::int64_t max_iterations, double* x, const Elimination* order,
+                            const BlockFactors* near) {
+    if (!order) return {0, false};
+    std::vector<BlockFactors::Real> scratch;
+    const auto product = [&](const double* u, double* image) {
+        std::fill(image, image + length, 0.0);
+        add_hessian_product(of, u, image);
+    };
+    const auto by = [&](const BlockFactors& factors, std::int64_t most) {
+        const auto precondition = [&](const double* u, double* image) { factors.solve(*order, u, image, scratch); };
+        return conjugate_gradients(n, length, product, precondition, right, tolerance, most, x);
+    };
+    if (near && near->any()) {
+        const Solution found = by(*near, std::min(FEW, max_iterations));
+        if (found.converged) return found;
+    }
+    BlockFactors here;
+    if (!here.factorise(*order, of)) return {0, false};
+    return by(here, max_iterations);
 }
 
 }  // namespace torchmesh

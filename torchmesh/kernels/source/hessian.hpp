@@ -46,9 +46,21 @@ struct HessianTriangles {
     std::vector<double> blocks;        // (10, count)
 };
 
-// Solves H x = right by `conjugate_gradients`, whose arguments these are; `length` is that of the vectors that `rows`
-// point into.
+// The diagonal of the whole matrix, of the length of the vectors that `rows` point into.
+void add_diagonal(const HessianTriangles& of, std::vector<double>& diagonal);
+
+// Solves H x = right by `conjugate_gradients`, whose arguments these are, with the diagonal as preconditioner; `length` is
+// that of the vectors that `rows` point into.
 Solution solve_with_hessian(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* diagonal,
                             const double* right, double tolerance, std::int64_t max_iterations, double* x);
+
+struct Elimination;
+class BlockFactors;
+
+// The same with factors as preconditioner: while they lead to the solution in a few steps those of `near`, of H at a point
+// not far away, then those of H.  It is not solved where these do not exist, and without an `order`.  `near` may be null.
+Solution solve_with_factors(const HessianTriangles& of, std::int64_t n, std::int64_t length, const double* right,
+                            double tolerance, std::int64_t max_iterations, double* x, const Elimination* order,
+                            const BlockFactors* near);
 
 }  // namespace torchmesh

@@ -91,7 +91,7 @@ TM_EXPORT void tm_rows_solve(const std::int64_t* offsets, const std::int64_t* co
             }
         };
         const torchmesh::Solution found = torchmesh::conjugate_gradients(
-            n, n, product, diagonal + begin, right + begin, tolerance, max_iterations, x + begin);
+            n, n, product, torchmesh::Diagonal(n, diagonal + begin), right + begin, tolerance, max_iterations, x + begin);
         iterations[m] = found.iterations;
         converged[m] = found.converged;
     });
