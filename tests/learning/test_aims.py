@@ -1,5 +1,7 @@
 """Shapes and sizes that layers aim at: what they do to a mesh, and their gradients against differences."""
 
+import pickle
+
 import pytest
 import torch
 from meshes import disc, disturbed, grid, hopeless, jittered, moved_hole, ring
@@ -125,6 +127,26 @@ def test_a_start_leads_to_the_same_minimum(topology, monkeypatch):
     again = layer(moved, start=start)
     assert bool(layer.info.converged.all())
     torch.testing.assert_close(again, first + 1e-3 * torch.tensor([1.0, -2.0]), rtol=0, atol=1e-8)
+
+
+def test_what_is_remembered_of_a_pass_changes_no_bit():
+    """The backward pass leaves factors to the pass that starts from its result, which otherwise makes its own."""
+    meshes = [MESH, moved_hole(), ring()]
+    batch, motion = tm.join(meshes), 1e-3 * random(sum(len(mesh.points) for mesh in meshes), 2)
+    results = []
+    for backward in (True, False):
+        layer = nn.Untangle(batch)
+        points = batch.points.clone().requires_grad_()
+        first = layer(points)
+        if backward:
+            first.square().sum().backward()
+        layer = layer if backward else pickle.loads(pickle.dumps(layer))
+        results.append(layer(batch.points + motion, start=first.detach()))
+        assert bool(layer.info.converged.all())
+    assert torch.equal(*results)
+    alone = nn.Untangle(meshes[1])
+    rows = slice(len(MESH.points), len(MESH.points) + len(meshes[1].points))
+    assert torch.equal(alone(meshes[1].points + motion[rows], start=alone(meshes[1].points)), results[0][rows])
 
 
 def test_a_start_that_does_not_help_does_no_harm():

@@ -20,7 +20,6 @@ from ..optimising.conjugate_gradients import solve
 from ..optimising.hessian import Hessian
 from ..optimising.jacobian import Target, invariants
 from ..optimising.newton import NewtonOptions, NewtonProblem, newton
-from ..optimising.objective import Packing
 from ..smoothing.smoothing import SmoothOptions
 from ..status import Status
 from ..untangling.options import UntangleOptions
@@ -114,17 +113,29 @@ class _State:
     points   (V, 2) of the minimum, in the caller's dtype
     problem  the energy of the meshes that converged
     x        their unknowns at the minimum
-    anchors  (A,) the vertices whose coordinates are packing.anchored, in its order
-    fixed    (V,) bool, vertices that may not move
+    start    the batch from which Newton's method went
     nearby   the Hessians at `points`
     """
 
     points: Tensor
     problem: NewtonProblem
     x: Tensor
-    anchors: Tensor
-    fixed: Tensor
+    start: MeshBatch
     nearby: Nearby
+
+    @property
+    def fixed(self) -> Tensor:
+        """(V,) bool, vertices that may not move."""
+        return self.start.fixed
+
+    @functools.cached_property
+    def anchors(self) -> Tensor:
+        """(A,) the vertices whose coordinates are packing.anchored, in its order."""
+        packing, triangles = self.problem.packing, self.start.triangles
+        touched = torch.zeros_like(self.fixed)
+        touched[triangles[packing.triangles].reshape(-1)] = True
+        touched[packing.vertices] = False
+        return touched.nonzero().squeeze(1)
 
     @functools.cached_property
     def hessian(self) -> Hessian:
@@ -232,21 +243,12 @@ def _minimise(
     flat = segment_any(~upright(start.with_points(points)), start.triangle_offsets) & valid
     points = torch.where(spread(flat, start.point_offsets)[:, None], start.points, points)
     converged = valid & (step < options.tolerance) & ~flat
-    at = packing
     if not bool(converged.all()):
         # Only meshes at a minimum have a derivative.
         at = packed(start, converged, packing.unpack(x, start.points.to(torch.float64)))
         x = at.unknowns
         problem = posed.over(start, at)
     there = start.with_points(points)
-    state = _State(points, problem, x, _anchors(start, at), start.fixed, Nearby(there, converged, posed, orders))
+    state = _State(points, problem, x, start, Nearby(there, converged, posed, orders))
     status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
     return state, LayerInfo(valid, converged, step, status, there)
-
-
-def _anchors(mesh: MeshBatch, packing: Packing) -> Tensor:
-    """(A,) the vertices whose coordinates are packing.anchored, in its order."""
-    touched = torch.zeros(len(mesh.points), dtype=torch.bool, device=mesh.points.device)
-    touched[mesh.triangles[packing.triangles].reshape(-1)] = True
-    touched[packing.vertices] = False
-    return touched.nonzero().squeeze(1)

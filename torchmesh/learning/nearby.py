@@ -34,15 +34,17 @@ class Posed:
     energy: Energy
     coefficients: Tensor | None
 
-    def over(self, mesh: MeshBatch, packing: Packing) -> NewtonProblem:
-        """The energy over the packed meshes."""
+    def over(self, mesh: MeshBatch, packing: Packing, moves: bool = True) -> NewtonProblem:
+        """The energy over the packed meshes; without `moves` nobody asks for the size of a move."""
         target = equilateral()
         if self.coefficients is not None:
             unit = spread(packing.unit, packing.triangle_offsets)
             target = Target(*(self.coefficients[:, packing.triangles] * unit * unit))
-        size = packing.spread_vertices(vertex_size(mesh) / spread(packing.unit, mesh.point_offsets))
-        rows = packing.block_offsets * BLOCK
-        return NewtonProblem(packing, self.energy, target, torch.where(size > 0, size, 1.0), rows)
+        size = packing.unknowns
+        if moves:
+            size = packing.spread_vertices(vertex_size(mesh) / spread(packing.unit, mesh.point_offsets))
+            size = torch.where(size > 0, size, 1.0)
+        return NewtonProblem(packing, self.energy, target, size, packing.block_offsets * BLOCK)
 
     def same_as(self, other: "Posed") -> bool:
         """Whether the energy of each triangle is the same."""
@@ -70,7 +72,7 @@ class Nearby:
         if self.orders is None:
             return None
         packing = packed(self.mesh, self.which)
-        problem = self.posed.over(self.mesh, packing)
+        problem = self.posed.over(self.mesh, packing, moves=False)
         return problem.factors(packing.unknowns, self.which, problem.orders(self.orders))
 
     def is_at(self, mesh: MeshBatch, which: Tensor, posed: Posed) -> bool:

@@ -70,10 +70,11 @@ class _Layer(WithMesh):
         self.on_failure = on_failure
         self.info: LayerInfo | None = None
         self._last: Nearby | None = None
+        self._checked: MeshBatch | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         # What is remembered of the last pass belongs to this process.
-        return self.__dict__ | {"_last": None}
+        return self.__dict__ | {"_last": None, "_checked": None}
 
     def extra_repr(self) -> str:
         return f"{self.mesh}, on_failure={self.on_failure!r}"
@@ -119,7 +120,9 @@ class _Layer(WithMesh):
             )
         refuse_quads(mesh, f"nn.{type(self).__name__}")
         given = replace(mesh, points=points.detach())
-        check_rows(given)
+        if mesh is not self._checked or points.dtype != mesh.points.dtype:
+            check_rows(given)
+        self._checked = mesh
         unfit = unfit_meshes(given)
         if self.on_failure == "raise" and bool(unfit.any()):
             b = int(unfit.nonzero()[0, 0])
