@@ -30,13 +30,13 @@ _SHARES = (0.5, 0.25)
 _NAMED = 3
 
 
-def keeping_layers(job: Job) -> Job:
-    """The job that does `job` with the layers of each mesh held; it is `job` itself where there is no layer."""
+def keeping_layers(job: Job, without: Job) -> Job:
+    """The job that does `job` with the layers of each mesh held; it is `without` where no mesh has a layer."""
 
     def keep(state: State, log: Log) -> State:
         layers = find_layers(state.given if state.reference is None else state.reference, known=_known(state))
         if not len(layers):
-            return job(state, log)
+            return without(state, log)
         done, has_layers = _with(layers, job, state, log)
         again = has_layers & ~done.valid
         return _with_fewer_rows(layers, job, state, done, again, log) if bool(again.any()) else done

@@ -176,7 +176,7 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
         # With scope "damage", `improve_damage` itself sees to stretched meshes.
         inner = keeping_stretch(job, options) if options.scope == "all" else job
         # A mesh may be within the bound but for the layers that are held.
-        job = keeping_layers(where_needed(inner, options))
+        job = keeping_layers(where_needed(inner, options), without=inner)
     job = in_processes(job, workers) if workers > 1 else job
     return where_needed(job, options)
 
