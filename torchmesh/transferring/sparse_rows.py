@@ -109,6 +109,8 @@ class SparseRows:
         total = torch.zeros(self.shape[0], dtype=weights.dtype, device=rows.device).index_add(0, rows, weights)
         negative = torch.bincount(rows[weights < 0], minlength=self.shape[0]) > 0
         mean = ((total - 1).abs() < _ROUNDING) & ~negative
+        if not bool(mean.any()):
+            return out
         low, high = self.range_of(given)
         inside = torch.minimum(torch.maximum(out.detach(), low), high)
         # The difference is a constant, so that gradients stay those of the sum.

@@ -10,12 +10,40 @@ struct Entry {
     double value;
 };
 
+// Adds up the entries of a row that have the same column, in the order in which they came: what is left are the first
+// entries of each column, in the order of their appearance.
+inline std::int64_t gathered(Entry* row, std::int64_t count) {
+    // Where the entry of a column is: a table with open addressing, at most half of it in use.
+    thread_local std::vector<std::int64_t> place;
+    int bits = 4;
+    while ((std::int64_t(1) << bits) < 2 * count) ++bits;
+    place.assign(std::size_t(1) << bits, -1);
+    const std::size_t last = place.size() - 1;
+    std::int64_t different = 0;
+    for (std::int64_t i = 0; i < count; ++i) {
+        const Entry entry = row[i];
+        // Fibonacci hashing (Knuth, The Art of Computer Programming 3, section 6.4).
+        std::size_t at = (std::uint32_t(entry.column) * 2654435769u) >> (32 - std::min(bits, 32)) & last;
+        while (place[at] >= 0 && row[place[at]].column != entry.column) at = (at + 1) & last;
+        if (place[at] >= 0) {
+            row[place[at]].value += entry.value;
+        } else {
+            place[at] = different;
+            row[different++] = entry;
+        }
+    }
+    return different;
+}
+
 // Sorts the entries of a row by column, those of one column in the order in which they came, and adds these up.
 inline std::int64_t summed(Entry* row, std::int64_t count) {
     constexpr std::int64_t FEW = 48;
-    if (count > FEW)
-        std::stable_sort(row, row + count, [](const Entry& a, const Entry& b) { return a.column < b.column; });
-    for (std::int64_t i = 1; count <= FEW && i < count; ++i) {
+    if (count > FEW) {
+        const std::int64_t different = gathered(row, count);
+        std::sort(row, row + different, [](const Entry& a, const Entry& b) { return a.column < b.column; });
+        return different;
+    }
+    for (std::int64_t i = 1; i < count; ++i) {
         const Entry entry = row[i];
         std::int64_t k = i;
         for (; k > 0 && row[k - 1].column > entry.column; --k) row[k] = row[k - 1];
