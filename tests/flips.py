@@ -6,10 +6,10 @@ from exact import boundary, directed_edges, edge_counts, total_area
 from hypothesis import strategies as st
 
 from torchmesh import FlipOptions, MeshBatch
-from torchmesh.flipping import delaunay
+from torchmesh.flipping import rules
 from torchmesh.mesh import connectivity
 
-RULES = {name: FlipOptions(rule=name) for name in delaunay.RULES} | {"paper": FlipOptions.paper()}
+RULES = {name: FlipOptions(rule=name) for name in rules.RULES} | {"paper": FlipOptions.paper()}
 ALL = {
     **{f"scrambled {n}": (lambda n=n: meshes.scrambled(meshes.VALID[n](), 1)) for n in meshes.VALID},
     **meshes.TANGLED,

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from torchmesh import FlipOptions, MeshBatch, flip_to_delaunay, quality
-from torchmesh.flipping import delaunay, rules
+from torchmesh.flipping import rules
 
 
 @given(SIZES, SEEDS, st.sampled_from(list(RULES)))
@@ -107,7 +107,7 @@ def test_a_flip_that_would_invert_is_not_made():
 def test_the_rank_of_an_edge_has_the_same_bits_wherever_it_stands(rng):
     # Vectorised functions may round otherwise in the last rows of a tensor, which do not fill a vector register.
     coordinates = torch.from_numpy(rng.uniform(-1, 1, (8, 203)))
-    for rule in delaunay.RULES.values():
+    for rule in rules.RULES.values():
         rank = rule(rules.Quads(*coordinates))[1]
         for start in (0, 1, 101, 202):
             part = rule(rules.Quads(*coordinates[:, start:].contiguous()))[1]

@@ -32,16 +32,16 @@ def test_inverted_triangles_have_angles_below_zero(both):
     found = both["angles"]
     before, after = found.counts()
     assert both["inverted"] > 0
-    assert before[found.edges[:-1] < 0].sum() == both["inverted"]
-    assert after[found.edges[:-1] < 0].sum() == 0
+    assert before[found.limits[:-1] < 0].sum() == both["inverted"]
+    assert after[found.limits[:-1] < 0].sum() == 0
     assert found.shade_below == 0
 
 
 def test_without_inverted_triangles_the_axis_of_angles_begins_at_zero():
     mesh = meshes.grid()
     found = histograms.angles(mesh, mesh, quality(mesh), quality(mesh))
-    assert found.edges[0] == 0
-    assert found.edges[-1] == 60
+    assert found.limits[0] == 0
+    assert found.limits[-1] == 60
     assert found.shade_below is None
     assert "shade" not in svg_histogram(found)
 

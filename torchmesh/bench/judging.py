@@ -31,8 +31,9 @@ class Verdict:
     minimum_angle  in degrees
     fields_kept    whether values at vertices still fit: there are as many vertices, the fixed ones in their rows
     cells_kept     whether values in triangles still fit: the triangles are the same, row by row
-    travel_median  how far free vertices went from where they were given, in mean edge lengths there; None if they
-    travel_max     cannot be told, because the fields are not kept
+    travel_median  how far free vertices went from where they were given, in mean edge lengths there: the median.
+                   None where the fields are not kept, so that it cannot be told
+    travel_max     the same, of the vertex that went furthest
     """
 
     valid: bool

@@ -33,8 +33,9 @@ class Unfolding:
     stages          how often e is set anew
     iterations      iterations of the minimiser in each stage
     gain            stages end when the least Jacobian grows by less than this part of the mean one
-    aim             an element with a scaled Jacobian of less than this times that of the straight one is worked on,
-                    unless it came so; and a patch until all of its elements have that much, if the stages suffice
+    aim             an element is worked on where its scaled Jacobian is below this times that of the straight element,
+                    unless it was so when it was given.  Work on its patch ends when no element is below that, or after
+                    all stages
     """
 
     straightenings: int = 3

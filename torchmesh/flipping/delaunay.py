@@ -1,7 +1,6 @@
 """Step 1: edge flips towards a Delaunay mesh, over a batch."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import Tensor
@@ -16,10 +15,7 @@ from ..mesh.units import centre_and_unit
 from ..optimising.metric_field import MetricField
 from .metric_rule import MetricRule
 from .rounds import flip_rounds
-from .rules import kim_rule, safe_rule, shape_rule
-
-# The rules by their names; a new one is listed here.
-RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}
+from .rules import RULES, RuleName
 
 
 @dataclass(frozen=True)
@@ -36,7 +32,7 @@ class FlipOptions:
                 safeguard; a round flips any number of edges
     """
 
-    rule: Literal["safe", "kim", "shape"] = "safe"
+    rule: RuleName = "safe"
     once: bool = False
     max_rounds: int = 10_000
 

@@ -1,7 +1,7 @@
 """Which edges to flip: a rule looks at pairs of triangles, says which flips help, and ranks them."""
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -217,3 +217,8 @@ def _cotangent_deficit(q: Quads) -> tuple[Tensor, Tensor]:
     rounding = 1e-13 * ((1 + cot_s.abs()).square_() + (1 + cot_r.abs()).square_())
     rounding.masked_fill_(torch.minimum(cross_s, cross_r) < 1e-290, torch.inf)
     return -(cot_s + cot_r).clamp(-1e29, 1e29), rounding
+
+
+# The rules by the names that `FlipOptions.rule` takes; a new one is listed here.
+RuleName = Literal["safe", "kim", "shape"]
+RULES = {"safe": safe_rule, "kim": kim_rule, "shape": shape_rule}

@@ -35,7 +35,8 @@ class ImproveOptions:
                       are asked for, vertices may travel far in any case.  Otherwise no vertex of a valid mesh goes
                       further than the mesh is wide there: the mean length of the edges at the vertex as given
     untangle_rounds   the greatest number of rounds of flipping and untangling
-    smooth_rounds     the greatest number of rounds of flipping and smoothing of a valid mesh
+    smooth_rounds     the greatest number of rounds of flipping and smoothing of a valid mesh; without a meaning under
+                      topology "keep" and method "paper"
     rounds, refine    when these rounds end, and what they leave alone
     shapes            which shapes triangles should have.  "auto": equilateral ones, with two exceptions.  Layers, rows
                       of elements along a wall or interface whose heights are a small part of the wall's edges, keep

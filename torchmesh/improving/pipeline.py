@@ -175,7 +175,7 @@ def whole_job(options: ImproveOptions, workers: int) -> Job:
     if options.keeps_shapes:
         # With scope "damage", `improve_damage` itself sees to stretched meshes.
         inner = keeping_stretch(job, options) if options.scope == "all" else job
-        # A mesh may be within the bound but for the layers that are held.
+        # With layers held, the mesh is measured again: their triangles do not count then, and it may be good enough.
         job = keeping_layers(where_needed(inner, options), without=inner)
     job = in_processes(job, workers) if workers > 1 else job
     return where_needed(job, options)

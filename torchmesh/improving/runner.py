@@ -210,8 +210,9 @@ class Runner:
     """Runs stages; its log is the only thing that changes.
 
     An error inside a stage does not leave it.  The stage is then run on each half of its meshes, and so on down to
-    single ones, which brings out what the others become without the guilty one, to the bit.  That one stays as it was
-    before the stage, takes the stage no more, and goes on with the other stages; `State.failures` names the error.
+    single ones.  So every other mesh gets the result, to the bit, that it has without the mesh that fails.  That mesh
+    stays as it was before the stage, takes the stage no more, and goes on with the other stages; `State.failures` names
+    the error.
     Errors of whoever watches the progress are passed on.
     """
 

@@ -309,7 +309,8 @@ class State:
     def naming_after(self, other: "State") -> "State":
         """This state, in which inserted vertices get names that `other`, of the same origin, has not given to its own.
 
-        Two ways that begin at one state, and whose results are put together, go one after the other like this.
+        The second of two runs that start from one state begins with this, so that no vertex of the one has the name of
+        a vertex of the other when their results are put together.
         """
         return self if other.names is None else replace(self, names=other.names.renamed(self.vertex_names.of))
 

@@ -28,8 +28,8 @@ class Rounds:
     last_untangling      the regularised functional as the last resort where edges may flip, and beside a fault: its
                          work is bounded, since hardly a mesh gets so far that can be untangled
     newton               the second-order ways where triangles stay, for the meshes that are tangled still
-    newton_beside_faults  the same for meshes with a fault that does not prove them impossible; None: they are seldom
-                         those of a valid mesh, and the ways take seconds to find that out
+    newton_beside_faults  the same for meshes with a fault that does not prove them impossible.  None: these ways are
+                         not tried, since a valid mesh seldom exists there and they take seconds
     newton_of_quads      few steps of the same for meshes with quads where edges may flip: two zones of quads round a
                          cylinder (SU2's MeshCHT, 4,524 quads, 117 folded) take a quarter of a second, and a hopeless
                          ring of 1,400 quads that turned by 200 degrees 0.8 seconds
@@ -178,6 +178,7 @@ class Damage:
     stretched   where the shape meant has a higher ratio for most of a part, it is the aim: 1.25 is two to one
     rings       rings of vertices round the damage that may move at first, the corners of damaged triangles among them
     growth      how many times as many may move after a part could not be mended, up to the whole mesh
+    passes      the greatest number of passes: another one looks for the damage that the last one left
     growths_for_shapes  a part that is valid grows so often, and then only while fewer of its triangles are bad each
                 time, so that triangles which the boundary forces to be bad do not set much of the mesh in motion
     """

@@ -160,10 +160,10 @@ def untangle_with_triangles_kept(state: State, run: Runner, o: ImproveOptions) -
     hopeful, before = state.tangled & ~(state.impossible & o.may_flip), state.quality.inverted
     bounded = state.faulty | o.may_flip
     if o.at_interfaces == "free":
-        # Cavities do little for interfaces that are out of place, so that kept triangles are the best hope.
+        # Cavities hardly help where an interface is out of place: this may work longer on meshes that have interfaces.
         walled = torch.zeros_like(bounded).index_fill_(0, constraint_owner(state.mesh), True)
         bounded &= state.faulty | ~walled
-    # Nor do they anything for quads, whose edges stay.
+    # Cavities never help quads, whose edges stay: the same holds for meshes with quads.
     with_quads = counts_from_offsets(state.mesh.quad_offsets) > 0
     bounded &= state.faulty | ~with_quads
     unbounded = UntangleOptions(newton=None)

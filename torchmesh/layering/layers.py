@@ -127,8 +127,8 @@ def find_layers(batch: MeshBatch, options: LayerOptions | None = None, known: Te
     blocked = batch.twin < 0
     if len(batch.constrained_edges):
         blocked = blocked | constrained_half_edges(batch)
-    # Even where the upper edge of a quadrilateral is not parallel to the wall, its lower triangle is hardly twice as
-    # high as the whole.  Hardly any triangle at a wall is so low, mostly.
+    # The lower triangle of a quadrilateral is less than twice as high as the quadrilateral, even where its upper edge
+    # is not parallel to the wall.  In most meshes hardly any triangle at a wall is so low.
     walls = low_half_edges(batch, blocked, 2 * options.first)
     if not _side_by_side(batch, walls):
         return _joined([], batch)

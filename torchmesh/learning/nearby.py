@@ -3,8 +3,9 @@
     forward 1  ->  result 1  ---- factors of the Hessian there ---->  backward 1, forward 2 from result 1
     forward 2  ->  result 2  ---- ...
 
-The factors are preconditioners, so they decide how many steps a linear system takes, and not what it comes to but for
-rounding.  They depend on the result alone, so that it does not matter whether they were remembered or are made anew.
+The factors are preconditioners: they change how many steps the solution of a linear system takes, and the solution
+itself by rounding only.  They depend on the result alone, so that it does not matter whether they were remembered or
+are made anew.
 """
 
 import functools

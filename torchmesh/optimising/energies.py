@@ -73,7 +73,8 @@ class InverseMeanRatio:
         return torch.where(upright, phi, torch.inf)
 
     def value_and_slopes(self, stretch: Tensor, det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        # A det that is not positive becomes tiny: its phi overflows the line search's test.
+        # A tiny positive number takes the place of a det that is not positive: phi is then so large that the line
+        # search refuses the step.
         inverse = det.clamp_min(1e-160 if det.dtype == torch.float64 else 1e-30).reciprocal_()
         ratio = (stretch * inverse).mul_(0.5)
         lower = whole_power(ratio, self.power - 1) if self.power > 1 else torch.ones_like(ratio)
@@ -133,7 +134,8 @@ class Regularised:
     def chi(self, det: Tensor) -> Tensor:
         """(T,) the regularised determinant, positive, without cancellation for det <= 0."""
         root = torch.sqrt(self.eps * self.eps + det * det)
-        # (det + root) / 2 = eps^2 / (2 (root - det)); |det| takes the well-conditioned one's place.
+        # (det + root) / 2 = eps^2 / (2 (root - det)).  Of these two forms the one is taken that does not subtract
+        # nearly equal numbers: the first where det is positive, otherwise the second.
         large = 0.5 * (root + det.abs())
         return torch.where(det > 0, large, 0.25 * self.eps * self.eps / large)
 

@@ -29,8 +29,8 @@ __all__ = ["BlockFactors", "NewtonOptions", "NewtonProblem", "Orders", "newton"]
 # The part of the decrease that the slope promises which a step must reach (Armijo's condition).
 _DECREASE = 1e-4
 
-# After a full Newton step of m near the minimum (in local edge lengths) less than this times m squared, and m times
-# the tolerance of the linear system, is left to move.  A tenth of it was measured on jittered squares.
+# After a full Newton step of length m near the minimum (in local edge lengths), the minimum is nearer than this times m
+# squared, plus m times the tolerance of the linear system.  On jittered squares it was nearer than a tenth of that.
 _LEFT = 10.0
 
 # Where there are factors of a Hessian nearby, steps with it in place of the Hessian at hand are tried first, which take

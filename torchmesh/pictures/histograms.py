@@ -28,8 +28,8 @@ _LARGEST_ANGLE, _ANGLE_BIN = 60.0, 2.0
 class Histogram:
     """Two sets of values over one axis.
 
-    before, after  (T,) values; those outside the edges count in the first or last bin
-    edges          (N + 1,) limits of the bins, ascending
+    before, after  (T,) values; those outside the limits count in the first or last bin
+    limits         (N + 1,) limits of the bins, ascending
     ticks          positions on the axis and what to write there
     title          of the picture
     name           of the axis
@@ -39,7 +39,7 @@ class Histogram:
 
     before: np.ndarray
     after: np.ndarray
-    edges: np.ndarray
+    limits: np.ndarray
     ticks: Sequence[tuple[float, str]]
     title: str
     name: str
@@ -48,8 +48,8 @@ class Histogram:
 
     def counts(self) -> tuple[np.ndarray, np.ndarray]:
         """(N,) and (N,) the number of values in each bin, before and after."""
-        inside = (np.clip(values, self.edges[0], self.edges[-1]) for values in (self.before, self.after))
-        before, after = (np.histogram(values, self.edges)[0] for values in inside)
+        inside = (np.clip(values, self.limits[0], self.limits[-1]) for values in (self.before, self.after))
+        before, after = (np.histogram(values, self.limits)[0] for values in inside)
         return before, after
 
 
@@ -89,10 +89,10 @@ def angles(before: MeshBatch, after: MeshBatch, before_quality: Quality, after_q
 
 def draw(ax: Any, histogram: Histogram, legend: bool = False) -> None:
     """Draw the histogram on matplotlib axes: before as an area, after as a line; the counts are logarithmic."""
-    low, high = float(histogram.edges[0]), float(histogram.edges[-1])
+    low, high = float(histogram.limits[0]), float(histogram.limits[-1])
     before, after = histogram.counts()
     for counts, style in ((before, _BEFORE), (after, _AFTER)):
-        ax.hist(histogram.edges[:-1], histogram.edges, weights=counts, log=True, **style)
+        ax.hist(histogram.limits[:-1], histogram.limits, weights=counts, log=True, **style)
     if histogram.logarithmic:
         ax.set_xscale("log")
         ax.minorticks_off()

@@ -34,7 +34,7 @@ def svg_histogram(histogram: Histogram) -> str:
 
 def _x(histogram: Histogram, value: float) -> float:
     scale = np.log if histogram.logarithmic else np.asarray
-    first, last = float(scale(histogram.edges[0])), float(scale(histogram.edges[-1]))
+    first, last = float(scale(histogram.limits[0])), float(scale(histogram.limits[-1]))
     return _LEFT + (float(scale(value)) - first) / (last - first) * (_WIDTH - _LEFT - _RIGHT)
 
 
@@ -46,12 +46,12 @@ def _y(count: float, decades: int) -> float:
 
 def _outline(histogram: Histogram, count: np.ndarray, decades: int) -> str:
     """The path along the tops of the bins."""
-    edges = histogram.edges
-    steps = [f"M{_x(histogram, edges[0]):.1f} {_FLOOR}"]
-    for left, right, value in zip(edges, edges[1:], count, strict=False):
+    limits = histogram.limits
+    steps = [f"M{_x(histogram, limits[0]):.1f} {_FLOOR}"]
+    for left, right, value in zip(limits, limits[1:], count, strict=False):
         height = f"{_y(value, decades):.1f}"
         steps.append(f"L{_x(histogram, left):.1f} {height}L{_x(histogram, right):.1f} {height}")
-    return "".join([*steps, f"L{_x(histogram, edges[-1]):.1f} {_FLOOR}"])
+    return "".join([*steps, f"L{_x(histogram, limits[-1]):.1f} {_FLOOR}"])
 
 
 def _axes(histogram: Histogram, decades: int) -> list[str]:

@@ -44,7 +44,7 @@ class CondenseOptions:
     mean     meshes of a higher mean inverse mean ratio are condensed: their shapes are worth more than even sizes
     room     if the sizes of the boundary have room for no more than this part of their triangles.  Letters with room
              for two thirds gained nothing, maps with room for less than a third much
-    slack    a lower mean is worth a maximum that is this many times as high
+    slack    a result with a lower mean is taken if its maximum is at most this many times the maximum before
     passes   how often vertices travel and the sizes are asked for where they are then
     gain     another pass follows only where the excess of the mean over 1 fell by this part
     sources  where the point sources are, and how sizes grow from them

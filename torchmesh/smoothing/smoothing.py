@@ -15,7 +15,7 @@ from ..mesh.quads import halved, sampled
 from ..mesh.ragged import segment_any, spread
 from ..mesh.unfit import unfit_meshes
 from ..optimising.blocks import BLOCK
-from ..optimising.energies import InverseMeanRatio
+from ..optimising.energies import Energy, InverseMeanRatio
 from ..optimising.jacobian import select_rows
 from ..optimising.lbfgs import minimise
 from ..optimising.lbfgs_options import LbfgsOptions
@@ -71,7 +71,7 @@ class SmoothOptions:
     quad_targets: Tensor | None = field(default=None, compare=False)
 
     @property
-    def energy(self) -> InverseMeanRatio:
+    def energy(self) -> Energy:
         """The energy of a triangle that is minimised."""
         return InverseMeanRatio(self.power, self.ceiling)
 

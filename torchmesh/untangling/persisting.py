@@ -148,8 +148,8 @@ def pushed(mesh: MeshBatch, options: NewtonWays, start: Tensor | None = None) ->
 
     start  None: the Tutte embedding
 
-    Returns positions, the number of inverted triangles there, and what their areas lack to nothing, relative to the
-    mean area.
+    Returns positions, the number of inverted triangles there, and the sum of their negative areas, as a positive number
+    in units of the mean area.
     """
     free = ~mesh.fixed
     start = _embedded(mesh, free) if start is None else start

@@ -36,8 +36,8 @@ class Document:
                        elements; these edges must stay
     tied               vertices that the file pairs with others, so that they must not slide
     by_element         names for what the file says of single elements that a flip leaves without a meaning
-    at_nodes           rows of nodes whose values stay to the letter when the file is changed in place, by the name of
-                       what gives them; only values that need not be right where the nodes move
+    at_nodes           the rows of the nodes to which the file gives values, such as loads, by the name of what gives
+                       them.  These lines are copied as they are, so that their values may be wrong once a node moves
     skipped            names for what of the file was not read
     node_numbers       (V,) what the file calls its nodes, by row; None where it has no numbers of its own
     cell_numbers       what it calls its cells, by their type and in file order; empty where it has no numbers

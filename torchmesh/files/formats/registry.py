@@ -54,7 +54,10 @@ def _loaded(name: str) -> Format:
     """The format of that name, from its module."""
     module = importlib.import_module(f".{_MODULES[name][0]}", __package__)
     every = [v for value in vars(module).values() for v in (value if isinstance(value, tuple) else (value,))]
-    return next(v for v in every if isinstance(v, Format) and v.name == name)
+    found = [v for v in every if isinstance(v, Format) and v.name == name]
+    if not found:
+        raise LookupError(f"{module.__name__} makes no object of its `Format` that is named {name!r}")
+    return found[0]
 
 
 class _Formats(Mapping[str, Format]):
