@@ -30,7 +30,7 @@ from ..mesh.ragged import (
     true_rows,
 )
 from ..mesh.submesh import with_both_halves
-from ..mesh.vertex_map import Names
+from ..mesh.vertex_map import Names, Placed
 from .report import Step
 from .runner import Log, Work
 from .state import State
@@ -287,7 +287,8 @@ def _with_births(names: Names, own: Names, vertices: Tensor, vertex: Tensor, ins
 
     of = torch.where(vertex >= 0, names.of[vertex.clamp_min(0)], renamed(own.of[inserted.clamp_min(0)]))
     births = (*names.births, *(renamed(birth) for birth in own.births))
-    return names.renamed(of, names.fresh + own.fresh - own.first, births)
+    placed = (*names.placed, *(Placed(renamed(p.names), renamed(p.corners), p.weights) for p in own.placed))
+    return replace(names.renamed(of, names.fresh + own.fresh - own.first, births), placed=placed)
 
 
 class PartsLog(Log):

@@ -23,6 +23,7 @@ from ..remeshing.sizing import size_field
 from ..status import Status
 from ..untangling.untangling import check_reference
 from ..warping.femwarp import checked_hold, with_held
+from .anew import can_be_made_anew, making_anew
 from .columns import Edits
 from .faults import INTERFACES_HELD
 from .forked import can_fork, in_processes, one_thread
@@ -166,6 +167,8 @@ def _in_line_text(count: int) -> str:
 def whole_job(options: ImproveOptions, workers: int) -> Job:
     """The strategy in the wrappers that the options ask for; a wrapper has no effect where it is not needed."""
     job: Job = partial(improve_batch, options=options)
+    if can_be_made_anew(options):
+        job = making_anew(job, options)
     if options.scope == "damage":
         from .damage import improve_damage
 

@@ -1,6 +1,7 @@
 """Which vertices of a remeshed batch come from which of the given batch: maps between old and new rows."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -19,7 +20,8 @@ class VertexMap:
     rows, sources, weights  (N,) each, ascending in rows: a field at the new vertex rows[i] is the sum of weights[i]
                 times the field at the old vertex sources[i].  The only source of a kept vertex is itself.  The
                 sources of an inserted vertex are the ends of the edge that it halved, or the sources of these ends
-                if they were inserted too.  The weights of a vertex sum to 1
+                if they were inserted too; those of a vertex that was placed in a triangle are its corners.  The
+                weights of a vertex sum to 1
     """
 
     old_to_new: Tensor
@@ -71,6 +73,20 @@ class VertexMap:
 
 
 @dataclass(frozen=True, eq=False)
+class Placed:
+    """Vertices that were placed in triangles of earlier ones.
+
+    names    (N,) int64 of the new vertices
+    corners  (N, 3) int64, the names of the corners of the triangles
+    weights  (N, 3) float64, with which a linear function is read at the new vertices; they sum to 1
+    """
+
+    names: Tensor
+    corners: Tensor
+    weights: Tensor
+
+
+@dataclass(frozen=True, eq=False)
 class Names:
     """Names of vertices, which stay the same while rows change; a vertex of the given mesh is named by its first row.
 
@@ -78,12 +94,14 @@ class Names:
     first   the number of vertices at the beginning
     fresh   the next name that is free
     births  tensors (N, 3) int64: the name of an inserted vertex, and the names of the ends of the edge that it halved
+    placed  the vertices that were placed in triangles instead
     """
 
     of: Tensor
     first: int
     fresh: int
     births: tuple[Tensor, ...] = ()
+    placed: tuple[Placed, ...] = ()
 
     @classmethod
     def of_rows(cls, vertices: int, device: torch.device) -> "Names":
@@ -104,29 +122,51 @@ class Names:
         """These names or the `other` ones, whichever have the longer history; both must share their beginning."""
         return self if self.fresh >= other.fresh else other
 
+    def with_placed(self, of: Tensor, placed: Placed) -> "Names":
+        """The names `of` other vertices, the last ones of which, with the next free names, were `placed`."""
+        return replace(self, of=of, fresh=self.fresh + len(placed.names), placed=(*self.placed, placed))
+
     def vertex_map(self) -> VertexMap:
-        """The map from the vertices at the beginning to the present ones."""
+        """The map from the vertices at the beginning to the present ones, which is made once."""
+        return self._map
+
+    @cached_property
+    def _map(self) -> VertexMap:
         kept = self.of < self.first
         old_to_new = torch.full((self.first,), -1, device=self.of.device)
         rows = torch.arange(len(self.of), device=self.of.device)
         old_to_new[self.of[kept]] = rows[kept]
-        parents = torch.full((self.fresh - self.first, 2), -1, device=self.of.device)
-        for birth in self.births:
-            parents[birth[:, 0] - self.first] = birth[:, 1:]
+        parents, shares = self._parents()
         sources, weights = self.of.clone(), torch.ones(len(rows), dtype=torch.float64, device=self.of.device)
         while True:
             young = sources >= self.first
             if not bool(young.any()):
                 break
-            ends = parents[sources[young] - self.first]
-            rows = torch.cat([rows[~young], rows[young], rows[young]])
-            weights = torch.cat([weights[~young], 0.5 * weights[young], 0.5 * weights[young]])
-            sources = torch.cat([sources[~young], ends[:, 0], ends[:, 1]])
-            # Each pair gets one entry.  Sums of halves are exact, so the order of summation does not matter.
+            birth = sources[young] - self.first
+            share = shares[birth] * weights[young, None]
+            there = share != 0
+            rows = torch.cat([rows[~young], rows[young].repeat(shares.shape[1])[there.T.reshape(-1)]])
+            weights = torch.cat([weights[~young], share.T[there.T]])
+            sources = torch.cat([sources[~young], parents[birth].T[there.T]])
+            # Each pair gets one entry.  Sums of halves are exact, so the order of summation does not matter for them.
             pairs, entry = torch.unique(rows * self.fresh + sources, return_inverse=True)
             weights = weights.new_zeros(len(pairs)).index_add_(0, entry, weights)
             rows, sources = pairs // self.fresh, pairs % self.fresh
         return VertexMap(old_to_new, torch.where(kept, self.of, -1), rows, sources, weights)
+
+    def _parents(self) -> tuple[Tensor, Tensor]:
+        """(N, 2 or 3) the names of which each vertex that is no first one came, and their weights."""
+        count, columns, device = self.fresh - self.first, 3 if self.placed else 2, self.of.device
+        parents = torch.full((count, columns), -1, device=device)
+        weights = torch.zeros((count, columns), dtype=torch.float64, device=device)
+        for birth in self.births:
+            row = birth[:, 0] - self.first
+            parents[row, :2] = birth[:, 1:]
+            weights[row, :2] = 0.5
+        for placed in self.placed:
+            row = placed.names - self.first
+            parents[row], weights[row] = placed.corners, placed.weights
+        return parents, weights
 
 
 def exchange(batch: MeshBatch, at: Tensor, part: MeshBatch, fields: list[tuple[Tensor, Tensor]]) -> tuple:

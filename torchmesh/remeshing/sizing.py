@@ -45,10 +45,6 @@ _Weights: TypeAlias = tuple[Tensor, Tensor, Tensor]
 # Takes values (V,), of which the known rows are read, and a source (V,), of which the others are, to the solution (V,).
 _Solver: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 
-# Each bisection halves the interval of the change of log h, which 30 of them make shorter than 1e-8.
-_BISECTIONS = 30
-
-
 @dataclass(frozen=True)
 class InwardOptions:
     """How the sizes of the boundary are continued into the interior by `boundary_sizes`.
@@ -60,6 +56,7 @@ class InwardOptions:
     finer         the logarithm of the interior's sizes may be lowered by this at most to reach the number of
                   triangles that was asked for, since refining costs irregular vertices
     coarser       and raised by this at most; the mesh then has fewer triangles than before, which is intended
+    bisections    so often the interval of this change is halved; 30 times make it shorter than 1e-8
     """
 
     accuracy: float | None = None
@@ -67,6 +64,7 @@ class InwardOptions:
     most_weight: float = 20.0
     finer: float = 0.25
     coarser: float = 1.0
+    bisections: int = 30
 
     def __post_init__(self) -> None:
         if self.accuracy is not None and not 0 < self.accuracy < 1:
@@ -158,7 +156,7 @@ def boundary_sizes(batch: MeshBatch, triangles: Tensor, options: InwardOptions |
     v = v / spread(peak, batch.point_offsets)
     low, high = torch.full_like(peak, -options.finer), torch.full_like(peak, options.coarser)
     wanted = triangles.to(peak) * (SQRT3 / 4)
-    for _ in range(_BISECTIONS):
+    for _ in range(options.bisections):
         middle = 0.5 * (low + high)
         count = segment_sum(
             inward.mass * exp(-2 * (inward.relative + spread(middle, batch.point_offsets) * v)), batch.point_offsets

@@ -1,0 +1,118 @@
+"""Topology "full" where nothing binds the inside of a mesh: it is made anew in place of being untangled.
+
+A mesh that is tangled, or valid but poor, gets new vertices on a front that starts from its boundary
+(`remeshing.anew`).  Its boundary must allow that: it may not cross, touch or lie over itself.  Everything else goes the
+way of splits and collapses: where vertices slide, layers or shapes are held, a metric or sizes of vertices are aimed
+at, and meshes that are good as they are.  `report.steps` names the stage "anew" where it was taken, `kept` false where
+the boundary did not allow it.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..mesh.batch import constraint_owner
+from ..mesh.ragged import counts_from_offsets, spread
+from ..optimising.moves import Monitor
+from ..status import Status
+from .columns import Edits
+from .ending import certify, compare_sizes
+from .options import ImproveOptions
+from .runner import Job, Log, Runner, Stage, Work
+from .state import State
+
+
+@dataclass(frozen=True)
+class AnewLimits:
+    """Which valid meshes are poor enough to be made anew, and what of the result is worked on further.
+
+    mean    meshes of a higher mean inverse mean ratio are made anew; splits and collapses come to about this one
+    max     and those with a higher maximum
+    slack   a valid mesh may get a maximum that is so many times as high, if its mean falls
+    """
+
+    mean: float = 1.03
+    max: float = 1.9
+    slack: float = 1.02
+
+
+def can_be_made_anew(options: ImproveOptions) -> bool:
+    """Whether the options leave the inside of any mesh free to be made anew."""
+    remesh = options.remesh
+    by_vertex = isinstance(remesh.sizes, torch.Tensor) or (isinstance(remesh.sizes, str) and remesh.sizes == "keep")
+    shaped = options.smooth.targets is not None or remesh.smooth.targets is not None
+    return (
+        options.topology == "full"
+        and options.scope == "all"
+        and not (options.slides or shaped or by_vertex or remesh.split_boundary)
+    )
+
+
+def making_anew(job: Job, options: ImproveOptions, limits: AnewLimits | None = None) -> Job:
+    """The job that makes meshes anew where it can, and does `job` on the others."""
+    limits = limits or AnewLimits()
+
+    def done(state: State, log: Log) -> State:
+        at = _served(state, options, limits)
+        if not bool(at.any()):
+            return job(state, log)
+        state, work = Runner(log)("anew", _stage(options, limits), state, at)
+        made = at & work.kept & work.took
+        if not bool(made.any()):
+            return job(state, log)
+        whole = state.ended(made & state.valid, Status.SETTLED)
+        if not bool(made.all()):
+            whole = whole.put(~made, job(state.select(~made).naming_after(state), log.of_meshes(whole.mesh, ~made)))
+        return _finished(whole, made, log, options)
+
+    return done
+
+
+def _served(state: State, options: ImproveOptions, limits: AnewLimits) -> Tensor:
+    """(B,) bool: the meshes that nothing binds, and that are worth it."""
+    nothing = torch.zeros_like(state.valid)
+    bound = state.held is not None or state.origin.layers is not None or state.targets is not None
+    if bound or not state.mesh.points.is_cpu or len(state.mesh.quads):
+        return nothing
+    poor = (state.quality.mean > limits.mean) | (state.quality.max > limits.max)
+    at = state.running & (~state.valid | poor) & (counts_from_offsets(state.mesh.triangle_offsets) > 0)
+    if state.origin.interfaces == "free":
+        at = at & ~nothing.index_fill_(0, constraint_owner(state.mesh), True)
+    return at
+
+
+def _stage(options: ImproveOptions, limits: AnewLimits) -> Stage:
+    """Makes meshes anew, and keeps what is valid and no worse."""
+    from ..remeshing.anew import AnewOptions, mesh_anew
+
+    remesh, how = options.remesh, AnewOptions()
+    how = how if options.polish is not None else replace(how, polish=None)
+
+    def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        found = mesh_anew(state.mesh, remesh, state.vertex_names, how)
+        none = torch.zeros_like(state.status)
+        if found is None:
+            return state, Work.done(state, kept=none > 0)
+        part = state.select(found.made)
+        edits = Edits(found.inserted, found.removed, found.flips, torch.ones_like(found.flips))
+        part = replace(part.at(found.batch), names=found.names, edits=edits, sizes=found.size)
+        before = state.quality
+        highest = (limits.slack * before.max[found.made]).clamp_min(remesh.smooth.ceiling or 1.0)
+        better = (part.quality.mean <= before.mean[found.made]) & (part.quality.max <= highest)
+        good = part.valid & (better | ~state.valid[found.made])
+        kept = found.made.masked_scatter(found.made, good)
+        flips, iterations = (none.masked_scatter(found.made, n) for n in (found.flips, found.iterations))
+        work = Work.done(state, flips=flips, iterations=iterations, kept=kept)
+        return (state.put(kept, part.select(good)) if bool(good.any()) else state), work
+
+    return stage
+
+
+def _finished(state: State, made: Tensor, log: Log, options: ImproveOptions) -> State:
+    """The last steps for the meshes `made` (B,) bool anew; the others have had theirs."""
+    part = state.select(made)
+    run = Runner(log.of_meshes(state.mesh, made))
+    for step in (compare_sizes, certify):
+        part = step(part, run, options)
+    return state.put(made, part)
