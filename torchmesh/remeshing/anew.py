@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh import connectivity
-from ..mesh.batch import MeshBatch, constraint_owner, vertex_mesh
+from ..mesh.batch import MeshBatch, constraint_owner, put, vertex_mesh
 from ..mesh.interfaces import interface_vertices
 from ..mesh.measure import quality
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, owner_of, segment_any, spread, true_rows
@@ -37,7 +37,8 @@ class AnewOptions:
     between  the smoothing after the first flips
     ceiling  the last smoothing has no higher ceiling than this: with 1.5, as splits and collapses have it, a few triangles
              stay between 1.3 and 1.45 for which there is room
-    polish   the triangles that are worked on one by one at the end, near boundary edges of unlike lengths; None: none
+    polish   how the worst triangles are worked on one by one at the end; None: they are not
+    worst    inverse mean ratios: triangles above the first are worked on, in meshes that have none those above the next
     """
 
     front: FrontOptions = field(default_factory=FrontOptions)
@@ -47,9 +48,10 @@ class AnewOptions:
     ceiling: float = 1.3
     polish: PolishOptions | None = field(
         default_factory=lambda: PolishOptions(
-            angle=27.0, ratio=1.5, max_rounds=2, levels=PolishOptions().levels[:1], limit_share=0.98
+            angle=27.0, max_rounds=1, levels=PolishOptions().levels[:1], limit_share=0.98
         )
     )
+    worst: tuple[float, ...] = (1.5, 1.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +113,26 @@ def mesh_anew(
         whole, info = smooth(whole, smoothing)
         flips, iterations = flips + flipped.flips, iterations + info.iterations
     if options.polish is not None:
-        whole, polished = polish(whole, options.polish)
-        flips = flips + polished.flips
+        whole, polished = _polished(whole, options.polish, options.worst)
+        flips = flips + polished
     if callable(remesh.sizes):
         size = size_field(whole, remesh.sizes)
     kept = torch.bincount(vertex_mesh(whole)[old], minlength=len(whole))
     inserted, removed = (counts_from_offsets(m.point_offsets) - kept for m in (whole, given))
     return Anew(made, whole, names, size, inserted, removed, flips, iterations)
+
+
+def _polished(batch: MeshBatch, options: PolishOptions, worst: tuple[float, ...]) -> tuple[MeshBatch, Tensor]:
+    """The batch with its worst triangles polished, as `AnewOptions.worst` says; the edges flipped (B,)."""
+    flips, highest = torch.zeros(len(batch), dtype=torch.int64), quality(batch).max
+    left = torch.ones_like(highest, dtype=torch.bool)
+    for ratio in worst:
+        at = left & (highest > ratio)
+        if bool(at.any()):
+            part, info = polish(batch.select(at), replace(options, ratio=ratio))
+            batch, flips = put(batch, at, part), flips.masked_scatter(at, info.flips)
+        left = left & ~at
+    return batch, flips
 
 
 def _meshers(batch: MeshBatch) -> list[Mesher | None]:
