@@ -30,7 +30,7 @@ ALLOWED = {
     "warping": "optimising mesh kernels errors status",
     "diagnosing": "triangulating mesh errors status",
     "smoothing": "flipping optimising mesh errors status triangulating",
-    "remeshing": "smoothing flipping untangling optimising mesh errors status",
+    "remeshing": "smoothing flipping untangling triangulating optimising mesh errors status",
     "improving": "remeshing smoothing flipping untangling warping diagnosing layering optimising mesh errors status",
     "learning": "improving remeshing smoothing flipping untangling warping diagnosing optimising triangulating files "
     "mesh errors status",

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import constraint_owner
-from ..mesh.ragged import counts_from_offsets, spread
+from ..mesh.ragged import counts_from_offsets
 from ..optimising.moves import Monitor
 from ..status import Status
 from .columns import Edits

@@ -43,7 +43,9 @@ class OutlineMesher:
 
     def background(self) -> Tensor:
         """(T, 3) int64 the triangles of all the vertices that are inside; those of the others are in none."""
-        triangles = torch.empty((call("tm_mesher_background", INT64, ADDRESS(self._mesher), None), 3), dtype=torch.int64)
+        triangles = torch.empty(
+            (call("tm_mesher_background", INT64, ADDRESS(self._mesher), None), 3), dtype=torch.int64
+        )
         call("tm_mesher_background", INT64, ADDRESS(self._mesher), ADDRESS(pointer(triangles)))
         return triangles
 

@@ -35,8 +35,8 @@ class AnewOptions:
     near     an old vertex takes the position of a new one that is nearer than this many times the size wanted there
     inward   how the sizes of the boundary are continued inwards.  The front reaches them within some percent
     between  the smoothing after the first flips
-    ceiling  the last smoothing has no higher ceiling than this: with 1.5, as splits and collapses have it, a few triangles
-             stay between 1.3 and 1.45 for which there is room
+    ceiling  the last smoothing has no higher ceiling than this: with 1.5, as splits and collapses have it, a few
+             triangles stay between 1.3 and 1.45 although there is room
     polish   how the worst triangles are worked on one by one at the end; None: they are not
     worst    inverse mean ratios: triangles above the first are worked on, in meshes that have none those above the next
     """
@@ -77,9 +77,7 @@ class Anew:
     iterations: Tensor
 
 
-def mesh_anew(
-    batch: MeshBatch, remesh: RemeshOptions, names: Names, options: AnewOptions | None = None
-) -> Anew | None:
+def mesh_anew(batch: MeshBatch, remesh: RemeshOptions, names: Names, options: AnewOptions | None = None) -> Anew | None:
     """New insides for the meshes whose boundary allows it, tangled or not; None: there is no such mesh.
 
     Boundary and constrained edges stay, and so do fixed vertices and the ends of constrained edges.  An old vertex
@@ -144,7 +142,9 @@ def _meshers(batch: MeshBatch) -> list[Mesher | None]:
     locks = offsets_from_counts(torch.bincount(constraint_owner(batch), minlength=len(batch)))
     held = _held(batch)
     meshers: list[Mesher | None] = []
-    for b, (start, stop) in enumerate(zip(batch.point_offsets.tolist(), batch.point_offsets.tolist()[1:], strict=False)):
+    for b, (start, stop) in enumerate(
+        zip(batch.point_offsets.tolist(), batch.point_offsets.tolist()[1:], strict=False)
+    ):
         own, kept = (v[slice(*o[b : b + 2].tolist())] for v, o in ((edges, ends), (batch.constrained_edges, locks)))
         mesher = outline_mesher(points[start:stop], held[start:stop], own - start, kept - start)
         meshers.append(None if mesher.fault else mesher)
@@ -158,53 +158,99 @@ def _held(batch: MeshBatch) -> Tensor:
     return (batch.fixed | interface_vertices(batch)) & used
 
 
+@dataclass(frozen=True, eq=False)
+class _New:
+    """The N positions that the fronts have found, mesh by mesh.
+
+    points   (N, 2) float64
+    size     (N,) float64, the sizes wanted there
+    corners  (N, 3) int64, the vertices of the triangle of the background in which each is
+    weights  (N, 3) float64, with which a linear function over the background is read there
+    owner    (N,) int64, the mesh of each
+    """
+
+    points: Tensor
+    size: Tensor
+    corners: Tensor
+    weights: Tensor
+    owner: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of the new batch: in each mesh first the old vertices that stay, in their order, then the others.
+
+    stays    (V,) bool, the old vertices that stay
+    fresh    (N,) bool, the new positions that no old vertex has taken
+    order    (V',) int64: old vertices that stay and then fresh ones, in the order of the rows
+    old, new  (V,) and (N,) int64, the rows of old vertices, -1 for those that go, and of new positions
+    offsets  (B+1,) int64, where the rows of each mesh begin
+    """
+
+    stays: Tensor
+    fresh: Tensor
+    order: Tensor
+    old: Tensor
+    new: Tensor
+    offsets: Tensor
+
+    @classmethod
+    def of(cls, given: MeshBatch, owner: Tensor, taken: Tensor) -> "_Rows":
+        """The rows where the old vertices `taken` (N,), -1 for none, take the new positions with these owners."""
+        stays, fresh = given.fixed | interface_vertices(given), taken < 0
+        stays[taken[~fresh]] = True
+        mesh = torch.cat([vertex_mesh(given)[stays], owner[fresh]])
+        order = mesh.argsort(stable=True)
+        row = torch.empty_like(order)
+        row[order] = torch.arange(len(order))
+        count = int(stays.sum())
+        old, new = torch.full_like(stays, -1, dtype=torch.int64), torch.empty_like(taken)
+        old[stays], new[fresh] = row[:count], row[count:]
+        new[~fresh] = old[taken[~fresh]]
+        return cls(stays, fresh, order, old, new, offsets_from_counts(torch.bincount(mesh, minlength=len(given))))
+
+    def joined(self, old: Tensor, new: Tensor) -> Tensor:
+        """(V', ...) values of old vertices (V, ...) and of new positions (N, ...) in the rows of the new batch."""
+        return torch.cat([old[self.stays], new[self.fresh].to(old.dtype)])[self.order]
+
+
 def _placed(
     given: MeshBatch, meshers: list[Mesher], remesh: RemeshOptions, names: Names, options: AnewOptions
 ) -> tuple[MeshBatch, Tensor, Names, Tensor]:
-    """The meshes with vertices where the front has placed them; sizes, names, and which vertices are old (V',) bool."""
+    """The meshes with vertices where the fronts have placed them; sizes, names, and (V',) bool, are they old?"""
     size = _sizes(given, meshers, remesh, options.inward)
-    unit = centre_and_unit(given.points, given.point_offsets)[1]
-    scaled = size / spread(unit, given.point_offsets)
-    found, starts = [], given.point_offsets.tolist()
-    for b, mesher in enumerate(meshers):
-        found.append(mesher.mesh(scaled[starts[b] : starts[b + 1]], options.front.done, options.front.room))
-    added = torch.tensor([len(f[1]) for f in found])
-    new_owner = torch.arange(len(found)).repeat_interleave(added)
-    points = torch.cat([f[1] for f in found]) * unit[new_owner][:, None]
-    wanted = torch.cat([f[2] for f in found]) * unit[new_owner]
-    corners = torch.cat([f[3] for f in found]) + given.point_offsets[new_owner][:, None]
-    weights = torch.cat([f[4] for f in found])
-    taken = _nearest_old(given, points, options.near * wanted, corners)
-    # Rows of old vertices, -1 for those that go, and of new positions: first all that stay, mesh by mesh, in order.
-    stays = given.fixed | interface_vertices(given)
-    stays[taken[taken >= 0]] = True
-    fresh = true_rows(taken < 0)
-    row_owner = torch.cat([vertex_mesh(given)[stays], new_owner[fresh]])
-    order = row_owner.argsort(stable=True)
-    row = torch.empty_like(order)
-    row[order] = torch.arange(len(order))
-    old_row, new_row = torch.full((len(given.points),), -1), torch.empty(len(points), dtype=torch.int64)
-    old_row[stays] = row[: int(stays.sum())]
-    new_row[fresh] = row[int(stays.sum()) :]
-    new_row[taken >= 0] = old_row[taken[taken >= 0]]
-    at, sizes = given.points.clone(), size.clone()
-    at[taken[taken >= 0]], sizes[taken[taken >= 0]] = points[taken >= 0].to(at.dtype), wanted[taken >= 0]
-    triangles = _renamed([f[0] for f in found], given, old_row, new_row, added)
-    own = names.fresh + torch.arange(len(fresh))
-    of = torch.cat([names.of[stays], own])[order]
-    placed = names.with_placed(of, Placed(own, names.of[corners[fresh]], weights[fresh]))
-    flags = torch.zeros(len(fresh), dtype=torch.bool)
-    counts = torch.bincount(row_owner, minlength=len(given))
+    new, triangles = _fronts(given, meshers, size, options.front)
+    taken = _nearest_old(given, new, options.near)
+    rows = _Rows.of(given, new.owner, taken)
+    points, kept = given.points.clone(), taken >= 0
+    points[taken[kept]], size[taken[kept]] = new.points[kept].to(points.dtype), new.size[kept]
+    fresh = names.fresh + torch.arange(int(rows.fresh.sum()))
+    named = torch.empty_like(taken).masked_scatter(rows.fresh, fresh)
+    placed = Placed(fresh, names.of[new.corners[rows.fresh]], new.weights[rows.fresh])
     whole = MeshBatch(
-        torch.cat([at[stays], points[fresh].to(at.dtype)])[order],
-        triangles,
-        torch.cat([given.fixed[stays], flags])[order],
-        old_row[given.constrained_edges],
-        offsets_from_counts(counts),
-        offsets_from_counts(torch.tensor([len(f[0]) for f in found])),
+        rows.joined(points, new.points),
+        _renamed(triangles, given, rows, offsets_from_counts(torch.bincount(new.owner, minlength=len(given)))),
+        rows.joined(given.fixed, torch.zeros_like(kept)),
+        rows.old[given.constrained_edges],
+        rows.offsets,
+        offsets_from_counts(torch.tensor([len(t) for t in triangles])),
         given.frames,
     )
-    return whole, torch.cat([sizes[stays], wanted[fresh]])[order], placed, torch.cat([~flags[:0].new_zeros(int(stays.sum())), flags])[order]
+    old = rows.joined(torch.ones_like(rows.stays), torch.zeros_like(kept))
+    return whole, rows.joined(size, new.size), names.with_placed(rows.joined(names.of, named), placed), old
+
+
+def _fronts(given: MeshBatch, meshers: list[Mesher], size: Tensor, options: FrontOptions) -> tuple[_New, list[Tensor]]:
+    """The new positions, and the triangles (T, 3) of each mesh, where the new ones come after the old vertices."""
+    unit, starts = centre_and_unit(given.points, given.point_offsets)[1], given.point_offsets.tolist()
+    scaled = size / spread(unit, given.point_offsets)
+    found = [
+        mesher.mesh(scaled[starts[b] : starts[b + 1]], options.done, options.room) for b, mesher in enumerate(meshers)
+    ]
+    owner = torch.arange(len(found)).repeat_interleave(torch.tensor([len(f[1]) for f in found]))
+    points, wanted, corners, weights = (torch.cat([f[i] for f in found]) for i in range(1, 5))
+    corners += given.point_offsets[owner][:, None]
+    return _New(points * unit[owner][:, None], wanted * unit[owner], corners, weights, owner), [f[0] for f in found]
 
 
 def _sizes(given: MeshBatch, meshers: list[Mesher], remesh: RemeshOptions, inward: InwardOptions) -> Tensor:
@@ -219,33 +265,26 @@ def _sizes(given: MeshBatch, meshers: list[Mesher], remesh: RemeshOptions, inwar
     return size_field(background, remesh.sizes, triangles=wanted)
 
 
-def _nearest_old(given: MeshBatch, points: Tensor, reach: Tensor, corners: Tensor) -> Tensor:
+def _nearest_old(given: MeshBatch, new: _New, near: float) -> Tensor:
     """(N,) for each new position the free old vertex that takes it, -1 for none; each takes the nearest."""
     free = ~(given.fixed | interface_vertices(given))
-    far = (given.points[corners].to(points.dtype) - points[:, None]).square().sum(2)
-    far = torch.where(free[corners], far, torch.inf)
-    distance, column = far.min(1)
-    near = corners.gather(1, column[:, None])[:, 0]
-    asks = true_rows(distance < reach.square())
-    least = distance.new_full((len(given.points),), torch.inf)
-    least.scatter_reduce_(0, near[asks], distance[asks], "amin")
-    asks = asks[distance[asks] == least[near[asks]]]
-    first = torch.full((len(given.points),), len(points))
-    first.scatter_reduce_(0, near[asks], asks, "amin")
-    taken = torch.full((len(points),), -1)
-    winners = asks[first[near[asks]] == asks]
-    taken[winners] = near[winners]
-    return taken
+    far = (given.points[new.corners].to(torch.float64) - new.points[:, None]).square().sum(2)
+    distance, column = torch.where(free[new.corners], far, torch.inf).min(1)
+    vertex = new.corners.gather(1, column[:, None])[:, 0]
+    asks = true_rows(distance < (near * new.size).square())
+    least = distance.new_full((len(free),), torch.inf).scatter_reduce_(0, vertex[asks], distance[asks], "amin")
+    asks = asks[distance[asks] == least[vertex[asks]]]
+    first = torch.full((len(free),), len(distance)).scatter_reduce_(0, vertex[asks], asks, "amin")
+    winners = asks[first[vertex[asks]] == asks]
+    return torch.full((len(distance),), -1).index_put((winners,), vertex[winners])
 
 
-def _renamed(
-    triangles: list[Tensor], given: MeshBatch, old_row: Tensor, new_row: Tensor, added: Tensor
-) -> Tensor:
+def _renamed(triangles: list[Tensor], given: MeshBatch, rows: _Rows, new_offsets: Tensor) -> Tensor:
     """(T, 3) the triangles of all meshes in the rows of the new batch."""
-    rows, starts, shift = [], given.point_offsets.tolist(), offsets_from_counts(added).tolist()
-    for b, own in enumerate(triangles):
-        count = starts[b + 1] - starts[b]
-        name = torch.cat([old_row[starts[b] : starts[b + 1]], new_row[shift[b] : shift[b + 1]]])
-        assert count + shift[b + 1] - shift[b] == len(name)
-        rows.append(name[own])
-    return torch.cat(rows)
+    old, new = given.point_offsets.tolist(), new_offsets.tolist()
+    return torch.cat(
+        [
+            torch.cat([rows.old[old[b] : old[b + 1]], rows.new[new[b] : new[b + 1]]])[own]
+            for b, own in enumerate(triangles)
+        ]
+    )

@@ -45,6 +45,7 @@ _Weights: TypeAlias = tuple[Tensor, Tensor, Tensor]
 # Takes values (V,), of which the known rows are read, and a source (V,), of which the others are, to the solution (V,).
 _Solver: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 
+
 @dataclass(frozen=True)
 class InwardOptions:
     """How the sizes of the boundary are continued into the interior by `boundary_sizes`.
