@@ -68,7 +68,9 @@ def test_the_stages_that_the_report_names():
     assert without_repeats(stages(mesh, ImproveOptions(topology="keep"))) == [
         "initial", "average", "regularised", "smooth",
     ]  # fmt: skip
-    assert "remesh" in stages(mesh, ImproveOptions(topology="full"))
+    assert stages(mesh, ImproveOptions(topology="full")) == ["initial", "anew"]
+    split = ImproveOptions(topology="full", remesh=RemeshOptions(split_boundary=True))
+    assert "remesh" in stages(mesh, split)
     valid = meshes.grid()
     sized = ImproveOptions(remesh=RemeshOptions(sizes="uniform"))
     assert "relocate" in stages(valid, sized)

@@ -13,14 +13,16 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import constraint_owner
-from ..mesh.ragged import counts_from_offsets
+from ..mesh.ragged import counts_from_offsets, segment_any
 from ..optimising.moves import Monitor
 from ..status import Status
 from .columns import Edits
 from .ending import certify, compare_sizes
 from .options import ImproveOptions
 from .runner import Job, Log, Runner, Stage, Work
+from .stages import curves_renumbered
 from .state import State
+from .strategies import slide
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ def can_be_made_anew(options: ImproveOptions) -> bool:
     return (
         options.topology == "full"
         and options.scope == "all"
-        and not (options.slides or shaped or by_vertex or remesh.split_boundary)
+        and not (shaped or by_vertex or remesh.split_boundary)
     )
 
 
@@ -57,14 +59,19 @@ def making_anew(job: Job, options: ImproveOptions, limits: AnewLimits | None = N
         at = _served(state, options, limits)
         if not bool(at.any()):
             return job(state, log)
-        state, work = Runner(log)("anew", _stage(options, limits), state, at)
+        after, work = Runner(log)("anew", _stage(options, limits), state, at)
         made = at & work.kept & work.took
         if not bool(made.any()):
-            return job(state, log)
-        whole = state.ended(made & state.valid, Status.SETTLED)
-        if not bool(made.all()):
-            whole = whole.put(~made, job(state.select(~made).naming_after(state), log.of_meshes(whole.mesh, ~made)))
-        return _finished(whole, made, log, options)
+            return job(replace(state, failures=after.failures), log)
+        part = after.select(made)
+        part = _finished(part.ended(part.valid, Status.SETTLED), log.of_meshes(after.mesh, made), options)
+        if bool(made.all()):
+            return part
+        # The others go their way as if they were alone, so their vertices do not know yet of those that have come here.
+        rest = replace(state, failures=after.failures).select(~made)
+        rest = job(rest, log.of_meshes(after.mesh, ~made))
+        names = part.vertex_names.after(rest.vertex_names)
+        return state.put(~made, rest).put(made, replace(part, names=names))
 
     return done
 
@@ -72,11 +79,16 @@ def making_anew(job: Job, options: ImproveOptions, limits: AnewLimits | None = N
 def _served(state: State, options: ImproveOptions, limits: AnewLimits) -> Tensor:
     """(B,) bool: the meshes that nothing binds, and that are worth it."""
     nothing = torch.zeros_like(state.valid)
-    bound = state.held is not None or state.origin.layers is not None or state.targets is not None
-    if bound or not state.mesh.points.is_cpu or len(state.mesh.quads):
+    if state.targets is not None or not state.mesh.points.is_cpu:
         return nothing
+    offsets = state.mesh.triangle_offsets
     poor = (state.quality.mean > limits.mean) | (state.quality.max > limits.max)
-    at = state.running & (~state.valid | poor) & (counts_from_offsets(state.mesh.triangle_offsets) > 0)
+    at = state.running & (~state.valid | poor) & (counts_from_offsets(offsets) > 0)
+    at = at & (counts_from_offsets(state.mesh.quad_offsets) == 0)
+    if state.origin.layers is not None:
+        at = at & ~segment_any(state.of_given_vertices(state.origin.layers), state.given.point_offsets)
+    if state.held is not None:
+        at = at & ~segment_any(state.held, state.mesh.point_offsets)
     if state.origin.interfaces == "free":
         at = at & ~nothing.index_fill_(0, constraint_owner(state.mesh), True)
     return at
@@ -96,7 +108,8 @@ def _stage(options: ImproveOptions, limits: AnewLimits) -> Stage:
             return state, Work.done(state, kept=none > 0)
         part = state.select(found.made)
         edits = Edits(found.inserted, found.removed, found.flips, torch.ones_like(found.flips))
-        part = replace(part.at(found.batch), names=found.names, edits=edits, sizes=found.size)
+        curves = curves_renumbered(part, found.batch, found.names)
+        part = replace(part.at(found.batch), names=found.names, edits=edits, sizes=found.size, curves=curves)
         before = state.quality
         highest = (limits.slack * before.max[found.made]).clamp_min(remesh.smooth.ceiling or 1.0)
         better = (part.quality.mean <= before.mean[found.made]) & (part.quality.max <= highest)
@@ -109,10 +122,9 @@ def _stage(options: ImproveOptions, limits: AnewLimits) -> Stage:
     return stage
 
 
-def _finished(state: State, made: Tensor, log: Log, options: ImproveOptions) -> State:
-    """The last steps for the meshes `made` (B,) bool anew; the others have had theirs."""
-    part = state.select(made)
-    run = Runner(log.of_meshes(state.mesh, made))
-    for step in (compare_sizes, certify):
-        part = step(part, run, options)
-    return state.put(made, part)
+def _finished(state: State, log: Log, options: ImproveOptions) -> State:
+    """The last steps for meshes that were made anew."""
+    run = Runner(log)
+    for step in (*([slide] if options.slides else []), compare_sizes, certify):
+        state = step(state, run, options)
+    return state

@@ -19,7 +19,7 @@ def compare_sizes(state: State, run: Runner, o: ImproveOptions) -> State:
     """Measure how well edges follow the sizes that were asked for, in the valid meshes; NaN stands for the others."""
     if o.topology != "full" and state.sizes is None:
         return state
-    if state.sizes is None or bool(state.sizes.isnan().any()):
+    if state.sizes is None or o.topology == "full":
         state = run.quietly("sizes", _with_own_sizes, state, torch.ones_like(state.valid))
     state = run.quietly("sizes", partial(_compared, o=o), state, state.valid)
     nothing = torch.full_like(state.quality.mean, torch.nan)
@@ -58,6 +58,6 @@ def certify(state: State, run: Runner, o: ImproveOptions) -> State:
 
 
 def _certified(state: State) -> State:
-    names = None if state.names is None else state.names.vertex_map()
+    names = None if state.names is None else state.own_map
     stays = state.of_given_vertices(state.origin.stays)
     return replace(state, certified=state.valid & same_frame(state.given, state.mesh, stays, names))

@@ -21,6 +21,7 @@ from torch import Tensor
 from ..flipping.delaunay import FlipOptions, flip_to_delaunay
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import touching
+from ..mesh.curves import BoundaryCurves
 from ..mesh.interfaces import holding
 from ..mesh.quads import HALVES, triangles_alone, with_triangles_alone
 from ..mesh.ragged import counts_from_offsets
@@ -262,11 +263,7 @@ def sized(options: RemeshOptions, state: State) -> RemeshOptions:
 
 def _edited(state: State, mesh: MeshBatch, names: Names, sizes: Tensor, metric: Tensor | None, edits: Edits) -> State:
     """The state with the remeshed `mesh`, and with everything that has rows of vertices renumbered."""
-    before, curves = state.vertex_names, state.curves
-    if curves is not None:
-        row = torch.full((names.fresh,), -1, device=mesh.points.device)
-        row[names.of] = torch.arange(len(mesh.points), device=row.device)
-        curves = curves.renumbered(row[before.of], state.mesh.point_offsets, mesh.point_offsets)
+    curves = curves_renumbered(state, mesh, names)
     return replace(
         state.at(mesh),
         names=names,
@@ -275,3 +272,12 @@ def _edited(state: State, mesh: MeshBatch, names: Names, sizes: Tensor, metric: 
         targets=state.targets if metric is None else MetricField(metric),
         curves=curves,
     )
+
+
+def curves_renumbered(state: State, mesh: MeshBatch, names: Names) -> BoundaryCurves | None:
+    """The curves of the state for the vertices of `mesh`, which have these names; None: nothing slides."""
+    if state.curves is None:
+        return None
+    row = torch.full((names.fresh,), -1, device=mesh.points.device)
+    row[names.of] = torch.arange(len(mesh.points), device=row.device)
+    return state.curves.renumbered(row[state.vertex_names.of], state.mesh.point_offsets, mesh.point_offsets)

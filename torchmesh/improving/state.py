@@ -22,7 +22,7 @@ from ..mesh.frozen import frozen_triangles
 from ..mesh.interfaces import holding
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import rows_of, segment_count, segment_max, segment_sum, spread, take, true_rows
-from ..mesh.vertex_map import Names, exchange
+from ..mesh.vertex_map import Names, VertexMap, exchange
 from ..optimising.metric_field import MetricField
 from ..optimising.targets import Targets, as_targets, narrow, narrow_quads, quad_targets_from
 from ..remeshing.sizing import SizeConformity
@@ -231,6 +231,18 @@ class State:
             return self.names
         every = Names.of_rows(len(self.origin.mesh.points), self.meshes.device)
         return every.select(spread(self._of_origin(), self.origin.mesh.point_offsets))
+
+    @property
+    def own_map(self) -> VertexMap:
+        """The map from the vertices of these meshes as given to those that they have, in rows of these meshes."""
+        whole = self.vertex_names.vertex_map()
+        if len(self) == len(self.origin.mesh):
+            return whole
+        rows = self.of_given_vertices(torch.arange(len(self.origin.mesh.points), device=self.meshes.device))
+        place = torch.full((len(self.origin.mesh.points),), -1, device=rows.device)
+        place[rows] = torch.arange(len(rows), device=rows.device)
+        back = torch.where(whole.new_to_old >= 0, place[whole.new_to_old], -1)
+        return replace(whole, old_to_new=whole.old_to_new[rows], new_to_old=back, sources=place[whole.sources])
 
     def of_given_vertices(self, rows: Tensor) -> Tensor:
         """Those of the rows (V, ...) over all the vertices given that belong to these meshes."""

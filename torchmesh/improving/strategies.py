@@ -370,7 +370,12 @@ def remesh_the_valid(state: State, run: Runner, o: ImproveOptions) -> State:
         return state
     state, _ = run("remesh", remesh(o.remesh), state, at)
     if o.slides:
-        state = smooth_in_fitting_precision(state, run, o, o.smooth, at)
-        state, _ = run("flip", flip(FlipOptions(rule="shape")), state, at)
-        state = smooth_in_fitting_precision(state, run, o, o.smooth, at)
+        state = slide(state, run, o)
     return polish_the_worst(state, run, o) if o.smooth.targets is None else state
+
+
+def slide(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Smoothing after vertices have come and gone, in which those of boundaries and interfaces slide."""
+    state = smooth_in_fitting_precision(state, run, o, o.smooth, state.valid)
+    state, _ = run("flip", flip(FlipOptions(rule="shape")), state, state.valid)
+    return smooth_in_fitting_precision(state, run, o, o.smooth, state.valid)

@@ -126,6 +126,20 @@ class Names:
         """The names `of` other vertices, the last ones of which, with the next free names, were `placed`."""
         return replace(self, of=of, fresh=self.fresh + len(placed.names), placed=(*self.placed, placed))
 
+    def after(self, other: "Names") -> "Names":
+        """These names, where inserted vertices are called otherwise than those that `other` names.
+
+        Both begin with the same vertices.  What comes has the history of both.
+        """
+        shift = other.fresh - self.first
+
+        def moved(names: Tensor) -> Tensor:
+            return torch.where(names >= self.first, names + shift, names)
+
+        births = (*other.births, *(moved(birth) for birth in self.births))
+        placed = (*other.placed, *(Placed(moved(p.names), moved(p.corners), p.weights) for p in self.placed))
+        return Names(moved(self.of), self.first, self.fresh + shift, births, placed)
+
     def vertex_map(self) -> VertexMap:
         """The map from the vertices at the beginning to the present ones, which is made once."""
         return self._map

@@ -1,6 +1,7 @@
 """The P1 stiffness matrix of the Laplacian, and harmonic extension with it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -236,6 +237,23 @@ class InnerStiffness:
     def diagonal(self) -> Tensor:
         """(I,) the diagonal of K_II."""
         return self.total
+
+    def solved(
+        self, right: Tensor, diagonal: Tensor, offsets: Tensor, tolerance: Tensor | float, max_iterations: int
+    ) -> tuple[Tensor, Tensor, Tensor] | None:
+        """As `conjugate_gradients.Solvable` says."""
+        if library_for(right) is None or isinstance(tolerance, Tensor) or len(right) != self.size:
+            return None
+        from ..kernels.projection import solved
+
+        return solved(*self._compressed, diagonal, offsets, right, tolerance, max_iterations)
+
+    @cached_property
+    def _compressed(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows, columns and values of the entries of K_II off the diagonal, row by row."""
+        row, column, weight = self.inner
+        order = row.argsort(stable=True)
+        return row[order], column[order], -weight[order]
 
     def load(self, values: Tensor) -> Tensor:
         """(I,) -K_IB x_B, where x_B are the known rows of `values` (V,)."""

@@ -30,7 +30,7 @@ from ..mesh.ragged import (
 from ..mesh.triangle import SQRT3, Corners, corners, signed_area
 from ..mesh.unfit import unfit_meshes
 from ..optimising.conjugate_gradients import solve
-from ..optimising.laplacian import InnerStiffness, cotangent_weights, harmonic_extension
+from ..optimising.laplacian import ExtensionSystem, InnerStiffness, cotangent_weights
 
 # A name, one length per vertex (V,), or a function that takes points (N, 2) to lengths (N,).
 Sizes: TypeAlias = Literal["boundary", "keep", "uniform"] | Tensor | Callable[[Tensor], Tensor]
@@ -235,9 +235,10 @@ def _solver(batch: MeshBatch, weights: _Weights, known: Tensor, accuracy: float 
 def _exactly(batch: MeshBatch, weights: _Weights, known: Tensor) -> _Solver:
     """A solver by factorisation."""
 
+    system = ExtensionSystem(batch.triangles, weights, known, batch.point_offsets)
+
     def solved(values: Tensor, source: Tensor) -> Tensor:
-        columns = values[:, None], batch.point_offsets, source[:, None]
-        return harmonic_extension(batch.triangles, weights, known, *columns)[:, 0]
+        return system.extended(values[:, None], source[:, None])[:, 0]
 
     return solved
 

@@ -29,6 +29,9 @@ from ..triangulating.touching import plane_boundary
 from .cavity import Cavity
 from .repair_check import why_not_certified
 
+# Tables of marks have at most so many entries for each triangle.
+_KEYS_A_TRIANGLE = 16
+
 
 @dataclass(frozen=True, eq=False)
 class Retriangulation:
@@ -328,7 +331,12 @@ def _edges_of(ends: np.ndarray) -> np.ndarray:
 def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """`wanted` (T,) bool and the triangles of the same region that share a vertex with them."""
     if region.any():
+        # A vertex has a key in each region.  Where these are few, looking them up takes less than sorting them.
         keys = triangles * (region.max() + 1) + region[:, None]
+        if int(keys.max()) < _KEYS_A_TRIANGLE * len(keys):
+            near = np.zeros(int(keys.max()) + 1, bool)
+            near[keys[wanted]] = True
+            return np.asarray(near[keys].any(1))
         return np.asarray(among(keys, keys[wanted]).any(1))
     corners = [np.ascontiguousarray(v) for v in triangles.T]
     mark = np.zeros(int(triangles.max(initial=0)) + 1, bool)
