@@ -13,7 +13,7 @@ import torchmesh as tm
 from torchmesh.mesh import connectivity
 from torchmesh.mesh.batch import lift, vertex_mesh
 from torchmesh.mesh.ragged import spread
-from torchmesh.mesh.vertex_map import Names, exchange
+from torchmesh.mesh.vertex_map import Names, Placed, exchange
 from torchmesh.remeshing.options import RemeshOptions
 from torchmesh.remeshing.remeshing import remesh
 from torchmesh.remeshing.sizing import size_field
@@ -149,3 +149,35 @@ def test_names_keep_their_history_when_some_are_selected():
     assert part.of.tolist() == [3, 4]
     assert part.vertex_map().new_to_old.tolist() == [3, -1]
     assert part.vertex_map().old_to_new.tolist() == [-1, -1, -1, 0]
+
+
+def placed_names() -> Names:
+    """Four vertices, of which the third has gone, and two that were placed in triangles of them."""
+    weights = torch.tensor([[0.2, 0.3, 0.5], [0.0, 0.5, 0.5]], dtype=torch.float64)
+    placed = Placed(torch.tensor([4, 5]), torch.tensor([[0, 1, 2], [1, 2, 3]]), weights)
+    return Names.of_rows(4, torch.device("cpu")).with_placed(torch.tensor([0, 1, 3, 4, 5]), placed)
+
+
+def test_a_vertex_placed_in_a_triangle_comes_of_its_corners():
+    m = placed_names().vertex_map()
+    assert m.old_to_new.tolist() == [0, 1, -1, 2]
+    assert m.new_to_old.tolist() == [0, 1, 3, -1, -1]
+    field = torch.tensor([1.0, 10.0, 100.0, 1000.0], dtype=torch.float64)
+    assert m.carry(field).tolist() == pytest.approx([1, 10, 1000, 53.2, 550])
+    # A corner of no weight is no source.
+    assert m.sources[m.rows == 4].tolist() == [2, 3]
+
+
+def test_an_edge_between_placed_vertices_is_halved():
+    names = placed_names()
+    halved = names.renamed(torch.tensor([0, 6]), 7, (torch.tensor([[6, 4, 5]]),))
+    assert halved.vertex_map().carry(torch.tensor([1.0, 10.0, 100.0, 1000.0]))[1] == pytest.approx((53.2 + 550) / 2)
+
+
+def test_two_histories_of_the_same_vertices_are_put_one_after_the_other():
+    births = (torch.tensor([[4, 0, 3]]),)
+    other = Names.of_rows(4, torch.device("cpu")).renamed(torch.tensor([0, 4]), 5, births)
+    both = placed_names().after(other)
+    field = torch.tensor([1.0, 10.0, 100.0, 1000.0], dtype=torch.float64)
+    assert torch.equal(both.vertex_map().carry(field), placed_names().vertex_map().carry(field))
+    assert both.renamed(other.of).vertex_map().carry(field).tolist() == [1, 500.5]

@@ -44,11 +44,7 @@ def can_be_made_anew(options: ImproveOptions) -> bool:
     remesh = options.remesh
     by_vertex = isinstance(remesh.sizes, torch.Tensor) or (isinstance(remesh.sizes, str) and remesh.sizes == "keep")
     shaped = options.smooth.targets is not None or remesh.smooth.targets is not None
-    return (
-        options.topology == "full"
-        and options.scope == "all"
-        and not (shaped or by_vertex or remesh.split_boundary)
-    )
+    return options.topology == "full" and options.scope == "all" and not (shaped or by_vertex or remesh.split_boundary)
 
 
 def making_anew(job: Job, options: ImproveOptions, limits: AnewLimits | None = None) -> Job:

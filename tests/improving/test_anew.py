@@ -1,0 +1,123 @@
+"""Topology "full" makes insides anew: where it may, what it keeps, and whatever else is in the batch."""
+
+import dataclasses
+
+import meshes
+import pytest
+import torch
+from judges import assert_same_domain
+
+import torchmesh as tm
+from torchmesh import ImproveOptions, RemeshOptions, Status, improve, join
+
+FULL = ImproveOptions(topology="full")
+
+
+def crossed() -> tm.MeshBatch:
+    """A grid with a corner on the other side: its boundary crosses itself."""
+    mesh = meshes.grid(4, 4)
+    points = mesh.points.clone()
+    points[0] = torch.tensor([2.0, 2.0])
+    return mesh.with_points(points)
+
+
+def stages(report: tm.Report, b: int = 0) -> list[str]:
+    return [step.stage for step in report.steps[b]]
+
+
+def test_joined_equals_alone_to_the_bit_whichever_way_a_mesh_goes():
+    given = [
+        crossed(), meshes.moved_hole(), meshes.equilateral(), meshes.dragged_interface(), meshes.jittered(9, 8, 0.5, 2),
+    ]  # fmt: skip
+    batch = join(given)
+    together, report = improve(batch, FULL)
+    maps = report.vertex_map.split(batch, together)
+    ways = set()
+    for b, (mesh, after) in enumerate(zip(given, together.split(), strict=True)):
+        alone, own = improve(mesh, FULL)
+        assert torch.equal(alone.points, after.points)
+        assert torch.equal(alone.triangles, after.triangles)
+        assert report.status[b] == own.status[0]
+        assert report.messages[b] == own.messages[0]
+        assert stages(report, b) == stages(own)
+        assert bool(report.certified[b]) == bool(own.certified[0]) == bool(own.valid[0])
+        for name in ("old_to_new", "new_to_old", "rows", "sources", "weights"):
+            assert torch.equal(getattr(maps[b], name), getattr(own.vertex_map, name))
+        ways.add("anew" in stages(own) and own.steps[0][1].kept)
+    assert ways == {True, False}
+
+
+@pytest.mark.parametrize("make", [meshes.moved_hole, meshes.dragged_interface, lambda: meshes.jittered(9, 8, 0.5, 2)])
+def test_the_frame_and_the_order_of_kept_vertices_stay(make):
+    mesh = make()
+    after, report = improve(mesh, FULL)
+    assert stages(report) == ["initial", "anew"]
+    assert report.status.tolist() == [Status.SETTLED]
+    assert bool(report.certified)
+    assert_same_domain(mesh, after)
+    vertex_map = report.vertex_map
+    old = vertex_map.new_to_old
+    kept = old[old >= 0]
+    assert torch.equal(kept, kept.sort().values)
+    assert bool((old[: len(kept)] >= 0).all())
+    assert 0 < int(report.remeshed.splits) == int((old < 0).sum())
+    assert int(report.remeshed.collapses) == int((vertex_map.old_to_new < 0).sum())
+    held = mesh.fixed
+    assert torch.equal(after.points[vertex_map.old_to_new[held]], mesh.points[held])
+    assert len(report.remeshed.size) == len(after.points)
+    weights = torch.zeros(len(old), dtype=torch.float64).index_add_(0, vertex_map.rows, vertex_map.weights)
+    assert torch.allclose(weights, torch.ones_like(weights))
+
+
+def test_linear_fields_are_carried_near_to_where_vertices_are():
+    mesh = meshes.jittered(14, 13, 0.5, 3)
+    after, report = improve(mesh, FULL)
+    off = report.vertex_map.carry(mesh.points) - after.points
+    # A vertex takes its value along for at most about half a width, and new ones are smoothed a little.
+    assert float(off.norm(dim=1).max()) < 1.0 / 13
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ImproveOptions(topology="full", remesh=RemeshOptions(split_boundary=True, max_rounds=1)),
+        ImproveOptions(topology="full", remesh=RemeshOptions(sizes="keep", max_rounds=1)),
+        ImproveOptions(topology="full", interfaces="free", remesh=RemeshOptions(max_rounds=1)),
+        ImproveOptions(topology="full", scope="damage", remesh=RemeshOptions(max_rounds=1)),
+        ImproveOptions(topology="flip"),
+    ],
+)
+def test_what_binds_a_mesh_keeps_it_from_being_made_anew(options):
+    _, report = improve(meshes.dragged_interface(), options)
+    assert bool(report.valid)
+    assert "anew" not in stages(report)
+
+
+def test_a_good_mesh_is_not_made_anew():
+    mesh = meshes.equilateral()
+    after, report = improve(mesh, FULL)
+    assert "anew" not in stages(report)
+    assert torch.equal(after.triangles, mesh.triangles)
+
+
+def test_what_was_made_anew_is_not_made_anew_again():
+    once, _ = improve(meshes.moved_hole(), FULL)
+    _, report = improve(once, FULL)
+    assert "anew" not in stages(report)
+
+
+def test_sizes_by_a_function_are_followed():
+    mesh = meshes.jittered(12, 12, 0.5, 1)
+    sizes = RemeshOptions(sizes=lambda p: 0.05 + 0.1 * p[:, 0])
+    _, report = improve(mesh, dataclasses.replace(FULL, remesh=sizes))
+    assert stages(report) == ["initial", "anew"]
+    assert bool(report.certified)
+    assert float(report.sizes.mean) == pytest.approx(1, abs=0.1)
+
+
+def test_single_precision_stays_single():
+    mesh = meshes.moved_hole()
+    after, report = improve(dataclasses.replace(mesh, points=mesh.points.float()), FULL)
+    assert after.points.dtype == torch.float32
+    assert bool(report.certified)
+    assert stages(report) == ["initial", "anew"]
