@@ -21,7 +21,8 @@ class ImproveOptions:
 
     method            "default": the best way known; "paper": Kim 2017, figure 2, as printed
     topology          "keep": the triangles stay; "flip": the number and order of vertices stay, and edges may change;
-                      "full": vertices may be added and removed (`Report.vertex_map` says which).  Quads stay quads: no
+                      "full": vertices may be added and removed (`Report.vertex_map` says which), and tangled or poor
+                      meshes are made anew inside their boundary where nothing else was asked for.  Quads stay quads: no
                       flip removes their edges, and under "full" their vertices stay where "flip" has brought them
     remesh            the sizes and limits of topology "full".  Under "flip", vertices travel from crowded to empty
                       regions towards these sizes, if shapes are poor or if sizes other than "boundary" are asked for.
