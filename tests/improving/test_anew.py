@@ -28,6 +28,7 @@ def stages(report: tm.Report, b: int = 0) -> list[str]:
 def test_joined_equals_alone_to_the_bit_whichever_way_a_mesh_goes():
     given = [
         crossed(), meshes.moved_hole(), meshes.equilateral(), meshes.dragged_interface(), meshes.jittered(9, 8, 0.5, 2),
+        meshes.grid(5, 4).with_points(meshes.grid(5, 4).points * torch.tensor([4.0, 1.0])),
     ]  # fmt: skip
     batch = join(given)
     together, report = improve(batch, FULL)
