@@ -1,5 +1,6 @@
 """The second-order ways solve what L-BFGS leaves tangled, alone as in a batch, and leave what is solved as it is."""
 
+import math
 from dataclasses import replace
 
 import meshes
@@ -33,6 +34,27 @@ def hard_half_turn() -> tm.MeshBatch:
     return turned_inside(tm.MeshBatch.from_arrays(*mesh_outline(outline, 600, np.random.default_rng([0, 7]))[:2]), 0.5)
 
 
+def turned_by_150() -> tm.MeshBatch:
+    """A ring of three layers whose inner circle, of 0.6 of its radius, has turned by 150 degrees."""
+    circle = regular_polygon(120)
+    outline = Outline((circle, 0.6 * circle[::-1]), (1.0, 1.0), 0.2)
+    mesh = tm.MeshBatch.from_arrays(*mesh_outline(outline, 300, np.random.default_rng(300))[:2])
+    sine, cosine = math.sin(math.radians(150)), math.cos(math.radians(150))
+    turned = mesh.points @ torch.tensor([[cosine, sine], [-sine, cosine]], dtype=torch.float64)
+    inside = mesh.points.norm(dim=1) < 0.6 + 1e-6
+    return tm.relax(mesh.with_points(torch.where(inside[:, None], turned, mesh.points)))
+
+
+def test_growing_weights_solve_what_no_other_way_does():
+    mesh = turned_by_150()
+    without, _ = untangle(mesh, UntangleOptions("newton", newton=NewtonWays(weightings=())))
+    assert inverted(without) > 0
+    moved, info = untangle(mesh, UntangleOptions("newton"))
+    assert inverted(moved) == 0
+    assert info.status.tolist() == [Status.VALID]
+    assert torch.equal(moved.points[mesh.fixed], mesh.points[mesh.fixed])
+
+
 def test_a_half_turn_is_untangled_where_first_order_stalls():
     mesh = hard_half_turn()
     first, info = untangle(mesh, UntangleOptions(newton=None))
@@ -49,9 +71,9 @@ def test_a_half_turn_is_untangled_where_first_order_stalls():
     assert "newton" in [step.stage for step in report.steps[0]]
 
 
-@pytest.mark.parametrize("way", ["_pushed", "_lifted", "_regularised"])
+@pytest.mark.parametrize("way", ["_pushed", "_lifted", "_regularised", "_weighted"])
 def test_each_way_solves_it_by_itself(way, monkeypatch):
-    for other in {"_pushed", "_lifted", "_regularised"} - {way}:
+    for other in {"_pushed", "_lifted", "_regularised", "_weighted"} - {way}:
         monkeypatch.setattr(persisting, other, lambda *_: False)
     moved, _ = untangle(half_turn(), UntangleOptions("newton"))
     assert inverted(moved) == 0
@@ -131,5 +153,9 @@ def test_options_refuse_by_name():
         NewtonWays(pushes=0)
     with pytest.raises(ValueError, match=r"NewtonWays\.alphas must all be positive"):
         NewtonWays(alphas=(0.0,))
+    with pytest.raises(ValueError, match=r"NewtonWays\.weightings must be triples"):
+        NewtonWays(weightings=((100, 0.1, 1.0),))
+    with pytest.raises(ValueError, match=r"NewtonWays\.weight_decay must be from 0 to 1"):
+        NewtonWays(weight_decay=1.5)
     with pytest.raises(ValueError, match=r"UntangleOptions\.newton must not be None"):
         UntangleOptions("newton", newton=None)

@@ -46,7 +46,9 @@ class Rounds:
     )
     newton: NewtonWays = field(default_factory=NewtonWays)
     newton_of_quads: NewtonWays = field(
-        default_factory=lambda: NewtonWays((100,), pushes=40, alphas=(0.1,), steps_per_alpha=10, max_continuations=1)
+        default_factory=lambda: NewtonWays(
+            (100,), pushes=40, alphas=(0.1,), steps_per_alpha=10, max_continuations=1, weightings=()
+        )
     )
     newton_beside_faults: NewtonWays | None = None
     rings_round_faults: int = 2

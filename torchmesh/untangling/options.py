@@ -25,6 +25,12 @@ class NewtonWays:
                        `UntangleOptions`.  Of some 20 hard meshes (turned rings, letters, spirals) those that it solved
                        took 6 to 24 epsilons and never met the rule; the others met it after 11 to 40, or had the 60
     first_push         after so many of them, and then twice as many each time, areas are pushed from where the mesh is
+    weightings         tries to push areas in rounds, with more and more weight on the triangles that stay inverted:
+                       sweeps of the size field, the bound, and the factor of their weights from round to round
+    weight_rounds      rounds at most of one try
+    weight_pushes      linear systems at most for a round
+    weight_decay       power to which weights are raised before that, so that what is no longer inverted counts less and
+                       less again
     """
 
     size_sweeps: tuple[int, ...] = (100, 1000, 20)
@@ -39,16 +45,34 @@ class NewtonWays:
     stall_ratio: float = 0.9
     stall_depth: float = 8.0
     first_push: int = 6
+    weightings: tuple[tuple[int, float, float], ...] = (
+        (1000, 0.1, 3.0),
+        (100, 0.3, 2.0),
+        (20, 0.3, 2.0),
+        (1000, 0.03, 2.0),
+        (100, 0.1, 2.0),
+        (20, 0.1, 3.0),
+    )
+    weight_rounds: int = 60
+    weight_pushes: int = 60
+    weight_decay: float = 0.95
 
     def __post_init__(self) -> None:
-        counts = ("pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "stall_patience", "first_push")
-        for name in counts:
+        counts = ["pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "stall_patience", "first_push"]
+        for name in [*counts, "weight_rounds", "weight_pushes"]:
             if getattr(self, name) < 1:
                 raise ValueError(f"NewtonWays.{name} must be at least 1, not {getattr(self, name)}")
         if not 0 < self.stall_ratio <= 1 or not self.stall_depth >= 0:
             raise ValueError(
                 "NewtonWays.stall_ratio must be above 0 and at most 1, and stall_depth not negative, not "
                 f"{self.stall_ratio} and {self.stall_depth}"
+            )
+        if not 0 <= self.weight_decay <= 1:
+            raise ValueError(f"NewtonWays.weight_decay must be from 0 to 1, not {self.weight_decay}")
+        if not all(len(w) == 3 and w[0] >= 0 and w[1] > 0 and w[2] > 1 for w in self.weightings):
+            raise ValueError(
+                "NewtonWays.weightings must be triples of sweeps, a positive bound and a factor above 1, not "
+                f"{self.weightings!r}"
             )
         for name in ("alphas", "betas"):
             if not all(v > 0 for v in getattr(self, name)):

@@ -8,6 +8,9 @@
                    lowers the energy enough (Garanzha, Kaporin, Kudryavtseva, Protais & Sokolov, Practical lowest
                    distortion mapping, arXiv 2201.12112, 2022), which L-BFGS misses where triangles have to shear much.
                    Now and then what is left is pushed
+    weighted       areas are pushed in rounds, after each of which the triangles that are inverted still get more
+                   weight.  A sum of squares rests where a few triangles pay for many; growing weights make that no
+                   resting place (as in Morris, The breakout method for escaping from local minima, AAAI 1993)
 
 Each mesh is worked on alone, from the Tutte embedding (`relax`), and from where it was.  The first way that makes it
 valid ends the work; otherwise the positions with the fewest inverted triangles count.
@@ -139,7 +142,12 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     ways += [(embedded, _regularised, sweeps) for sweeps in sizes]
     if not torch.equal(embedded, mesh.points):
         ways += [(mesh.points, _pushed, first), (mesh.points, _regularised, first)]
-    any(way(task, task.scaled(start), sweeps) for start, way, sweeps in ways)
+    if any(way(task, task.scaled(start), sweeps) for start, way, sweeps in ways):
+        return best
+    tries = options.weightings
+    if rest is not None and tries:
+        tries = ((_REST, *tries[0][1:]), *tries)
+    any(_weighted(task, task.scaled(embedded), *each) for each in tries)
     return best
 
 
@@ -178,6 +186,27 @@ def _pushed(task: _Task, points: Tensor, sweeps: int) -> bool:
         task.best.iterations += found.iterations
         if bool((found.det > 0).all()):
             break
+    return task.give(points)
+
+
+def _weighted(task: _Task, points: Tensor, sweeps: int, least: float, factor: float) -> bool:
+    """Areas pushed above a bound in rounds, with more weight on what is inverted; are all upright in the end?
+
+    Often the rounds first leave more triangles inverted than pushing without weights, and then none.
+    """
+    options, (system, _) = task.options, task.system(sweeps)
+    settings = LevenbergOptions(max_iterations=options.weight_pushes)
+    weight = even = system.weight
+    for _ in range(options.weight_rounds):
+        system.weight = weight
+        found = push_areas(system, points, least, settings)
+        points, inverted = found.points, found.det <= 0
+        task.best.iterations += found.iterations
+        if not bool(inverted.any()):
+            break
+        weight = weight.pow(options.weight_decay) * torch.where(inverted, factor, 1.0)
+        weight = weight / weight.mean()
+    system.weight = even
     return task.give(points)
 
 
