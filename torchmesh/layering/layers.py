@@ -129,7 +129,8 @@ def find_layers(batch: MeshBatch, options: LayerOptions | None = None, known: Te
         blocked = blocked | constrained_half_edges(batch)
     # The lower triangle of a quadrilateral is less than twice as high as the quadrilateral, even where its upper edge
     # is not parallel to the wall.  In most meshes hardly any triangle at a wall is so low.
-    walls = low_half_edges(batch, blocked, 2 * options.first)
+    among = blocked if known is None else blocked & known.repeat_interleave(3)
+    walls = low_half_edges(batch, among, 2 * options.first)
     if not _side_by_side(batch, walls):
         return _joined([], batch)
     walk = _Walk(batch, blocked, options, walls)
