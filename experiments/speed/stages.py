@@ -12,6 +12,7 @@ The time inside compiled loops is a bound: the same loops, called by nothing, wo
 from __future__ import annotations
 
 import importlib
+import itertools
 import math
 import pkgutil
 import sys
@@ -91,7 +92,7 @@ def gains(reports: Sequence[tm.Report]) -> dict[str, list[float]]:
     """By stage the inverted triangles taken away, and by how much average and maximum fell, summed over the meshes."""
     found: dict[str, list[float]] = {}
     for steps in (rows for report in reports for rows in report.steps):
-        for before, after in zip(steps, steps[1:], strict=False):
+        for before, after in itertools.pairwise(steps):
             sums = found.setdefault(after.stage, [0.0, 0.0, 0.0])
             sums[0] += before.inverted - after.inverted
             if math.isfinite(before.mean) and math.isfinite(after.mean) and not before.inverted + after.inverted:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from ..kernels import geometry
+from ..kernels import geometry, layer_rows
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
 from ..mesh.detached import loops_may_read
@@ -50,6 +50,11 @@ class LayerOptions:
     shrink: float = 0.8
     alike: float = 2.0
     rows: int = 4
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """What a single quadrilateral must keep to: all but `rows`."""
+        return self.first, self.height, self.lean, self.turn, self.shrink, self.alike
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -211,6 +216,12 @@ class _Walk:
 
     def next_row(self, row: int) -> Layers:
         """The quadrilaterals on the front, each of the better of the two pairs of triangles that it may be."""
+        if loops_may_read(self.points):
+            mesh = self.points, self.tail, self.twin, self.blocked, self.free
+            front = self.front, self.length, self.below
+            place, *found = layer_rows.next_row(mesh, self.options.limits, row == 1, front)
+            wall = self.wall[place]
+            return Layers(wall, torch.full_like(wall, row), *found)
         quads, good, lean = self._quadrilaterals(row)
         count = len(self.front)
         falls, rises = good[:count], good[count:]
