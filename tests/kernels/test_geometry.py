@@ -7,7 +7,7 @@ from both_loops import both
 from meshes import delaunay, grid, jittered, ring, scrambled
 
 from torchmesh import join
-from torchmesh.kernels import library
+from torchmesh.kernels import geometry, library
 from torchmesh.layering.layers import low_half_edges
 from torchmesh.mesh import connectivity, measure
 from torchmesh.mesh.detached import without_autograd
@@ -66,6 +66,22 @@ def test_components_are_the_same(generator):
             for blocked in (None, walls, walls | walls[twin]):
                 expected, got = both(lambda t=triangles, w=twin, b=blocked: connectivity.triangle_components(t, w, b))
                 assert torch.equal(expected, got)
+
+
+def test_boundary_loops_are_the_same(generator, monkeypatch):
+    """Also where loops meet in vertices, where they are taken apart at them, and where a walk does not close."""
+    monkeypatch.setattr(connectivity, "_FEW_EDGES", 0)
+    walks = [torch.randint(9, (30,), generator=generator) for _ in range(20)]
+    edges = [torch.stack([walk, walk.roll(-1)], 1) for walk in walks]
+    edges += [connectivity.boundary_edges(mesh.triangles, mesh.twin) for mesh in batches(generator)]
+    edges += [torch.tensor([[0, 1], [1, 2], [2, 3], [7, 8], [8, 7]]), torch.zeros((0, 2), dtype=torch.int64)]
+    for pairs in edges:
+        for order in (torch.arange(len(pairs)), torch.randperm(len(pairs), generator=generator)):
+            expected = connectivity.boundary_loops(pairs[order])
+            got = without_autograd(connectivity.boundary_loops)(pairs[order])
+            assert [loop.tolist() for loop in got] == [loop.tolist() for loop in expected]
+    assert len(geometry.boundary_loops(edges[0])) > 1
+    assert geometry.boundary_loops(edges[-2]) is None
 
 
 def test_low_triangles_are_the_same(generator):

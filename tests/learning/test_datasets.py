@@ -55,6 +55,34 @@ def test_pairs_are_before_and_after(made, paths):
     assert same(item.deformed, made.deformed.split()[8])
 
 
+@pytest.mark.skipif(torch.accelerator.is_available(), reason="pins in earnest")
+def test_a_loader_that_is_to_pin_goes_on_without_a_gpu_and_says_so(made):
+    loader = DataLoader(tm.datasets.InMemoryMeshes(made.deformed), 4, collate_fn=collate, pin_memory=True)
+    with pytest.warns(UserWarning, match="no accelerator is found"):
+        batches = list(loader)
+    assert [len(batch) for batch in batches] == [4, 4, 2]
+    assert same(tm.join(batches), made.deformed)
+    with pytest.raises(RuntimeError, match="accelerator"):
+        made.deformed.pin_memory()
+
+
+def test_a_loader_pins_the_tensors_of_pairs_and_items(made, monkeypatch):
+    """What torch's loader does with a batch when there is a GPU, with a counter in the place of the pinning itself."""
+    from torch.utils.data._utils.pin_memory import pin_memory
+
+    pinned = []
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor, *_: pinned.append(tensor) or tensor.clone())
+    item = tm.datasets.Item(Pair(made.undeformed, made.deformed), {"seed": torch.arange(10), "family": ["gate"] * 10})
+    again = pin_memory(item)
+    assert isinstance(again, tm.datasets.Item)
+    assert isinstance(again.meshes, Pair)
+    assert same(again.meshes.deformed, made.deformed)
+    assert torch.equal(again.fields["seed"], item.fields["seed"])
+    assert again.fields["family"] == item.fields["family"]
+    wanted = [made.undeformed.points, made.deformed.points, made.deformed.triangles, item.fields["seed"]]
+    assert {id(tensor) for tensor in wanted} <= {id(tensor) for tensor in pinned}
+
+
 def test_a_file_without_pairs_is_told(tmp_path):
     tm.save_batch(tmp_path / "plain.h5", grid())
     with pytest.raises(tm.MeshIOError, match=r"plain\.h5.*undeformed"):

@@ -3,7 +3,7 @@ import pytest
 import shapely
 from polygons import SQUARE, edges_of, star_with_holes
 
-from torchmesh.triangulating.polygon import nested_holes, turns_left, why_not_simple, winding
+from torchmesh.triangulating.polygon import nested_holes, turns_left, why_not_simple, winding, windings
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,10 @@ def test_winding_against_shapely(seed):
     polygon = shapely.Polygon(rim[loops[0]], [rim[loop] for loop in loops[1:]])
     np.testing.assert_array_equal(inside, shapely.contains_xy(polygon, points[len(rim) :]).astype(int))
     assert turns_left(points, loops).tolist() == [1, -1, -1]
+    # The same, edge by edge, for a vertex beside each edge.
+    edges, vertices = edges_of(loops), np.arange(len(rim), len(points))
+    beside = windings(points, vertices.repeat(len(edges)), np.tile(edges, (len(vertices), 1)))
+    np.testing.assert_array_equal(beside.reshape(len(vertices), -1).sum(1), inside)
 
 
 def test_nested_holes_are_found_by_sweep_and_by_tree(monkeypatch):

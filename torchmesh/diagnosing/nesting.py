@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..triangulating.arrays import among, distinct
-from ..triangulating.polygon import loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding
+from ..triangulating.polygon import loop_edges, loops_of, nested_holes, turns_left, unit_exponent, winding, windings
 from .problems import Finding, ProblemKind, position_of, text_of
 from .walls import BOUNDARY, Walls
 
@@ -33,6 +33,7 @@ def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
     turn = turns_left(walls.points, loops)
     inside = _fixed_inside(walls, edges, of_edge, faces, of_face, named)
     by_region = {int(keys[0]) // count: keys % count for keys in _runs(inside, inside // count)}
+    sound = _sound_with_a_hole(walls.points, loops, turn, mine) - by_region.keys()
     needed, faces_of = _triangles_needed(walls, edges, of_edge), np.bincount(walls.region)
     for region in np.flatnonzero(np.bincount(of_face)).tolist():
         rows = mine.get(region, [])
@@ -42,12 +43,40 @@ def nestings(walls: Walls, keep: bool) -> Iterator[Finding]:
             yield Finding(ProblemKind.NO_AREA, text, (v,), position_of(walls.points[v]))
             continue
         found: list[Finding] = []
-        if len(rows) > 1 or turn[rows[0]] <= 0 or region in by_region:
+        if region not in sound and (len(rows) > 1 or turn[rows[0]] <= 0 or region in by_region):
             mine_inside = by_region.get(region, inside[:0])
             found = list(_nesting(walls.points, [loops[i] for i in rows], turn[rows], mine_inside))
         if not found and faces_of[region] != needed[region]:
             found = [_no_plane(walls, region, edges[of_edge == region], int(needed[region]))]
         yield from found
+
+
+def _sound_with_a_hole(
+    points: np.ndarray, loops: list[np.ndarray], turn: np.ndarray, mine: dict[int, list[int]]
+) -> set[int]:
+    """The regions with one outer loop and one hole that lies in it; regions have the loops `mine`.
+
+    They are the most, and are judged together.
+    """
+    pairs = []
+    for region, rows in mine.items():
+        if len(rows) == 2 and turn[rows[0]] * turn[rows[1]] < 0:
+            outer, hole = rows if turn[rows[0]] > 0 else rows[::-1]
+            pairs.append((region, loops[outer], _one_off(loops[hole], loops[outer])))
+    if len(pairs) < 2:
+        return set()
+    size = np.array([len(outer) for _, outer, _ in pairs])
+    tail = np.concatenate([outer for _, outer, _ in pairs])
+    head = np.concatenate([np.roll(outer, -1) for _, outer, _ in pairs])
+    times = windings(points, np.array([v for _, _, v in pairs]).repeat(size), np.stack([tail, head], 1))
+    first = np.cumsum(size) - size
+    return {region for (region, _, _), t in zip(pairs, np.add.reduceat(times, first), strict=True) if t == 1}
+
+
+def _one_off(hole: np.ndarray, outer: np.ndarray) -> int:
+    """The first vertex of the hole that the outer loop does not pass; its first if it passes them all."""
+    passed = set(outer.tolist())
+    return next((v for v in hole.tolist() if v not in passed), int(hole[0]))
 
 
 def _triangles_needed(walls: Walls, edges: np.ndarray, of_edge: np.ndarray) -> np.ndarray:

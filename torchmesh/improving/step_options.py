@@ -34,6 +34,7 @@ class Rounds:
                          cylinder (SU2's MeshCHT, 4,524 quads, 117 folded) take a quarter of a second, and a hopeless
                          ring of 1,400 quads that turned by 200 degrees 0.8 seconds
     rings_round_faults   where a fault leaves triangles inverted, so many rings of vertices round them stay as they are
+    tells_flips          whether it is told of a mesh that stays tangled with its triangles kept how few flips would do
     """
 
     flip_rounds: int = 2
@@ -52,6 +53,7 @@ class Rounds:
     )
     newton_beside_faults: NewtonWays | None = None
     rings_round_faults: int = 2
+    tells_flips: bool = True
 
     def __post_init__(self) -> None:
         _check_least(self, flip_rounds=0, progress=0, patience=1, paper_patience=1, paper_quiet=1, rings_round_faults=0)

@@ -80,7 +80,8 @@ def strategy(o: ImproveOptions) -> list[Step]:
     steps = [find_faults, *([round_positions] if o.rounds_positions else []), untangle_by_averaging]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
-    steps += [untangle_with_triangles_kept, end_the_tangled, *([] if o.may_flip else [tell_enough_flips])]
+    tells_flips = o.rounds.tells_flips and not o.may_flip
+    steps += [untangle_with_triangles_kept, end_the_tangled, *([tell_enough_flips] if tells_flips else [])]
     steps += [flip_and_smooth if o.may_flip else smooth_slivers, smooth_at_last]
     if o.smooth.targets is None:
         steps += [better_the_sound]

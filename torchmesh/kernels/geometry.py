@@ -61,6 +61,16 @@ def triangle_components(twin: Tensor, blocked: Tensor | None) -> Tensor:
     return out
 
 
+def boundary_loops(boundary: Tensor) -> list[Tensor] | None:
+    """`mesh.connectivity.boundary_loops` of boundary (E, 2) int64; None where a walk does not close."""
+    boundary, count = boundary.contiguous(), len(boundary)
+    order, sizes = torch.empty((2, count), dtype=torch.int64)
+    loops = function("tm_boundary_loops", INT64, ADDRESS, INT64, ADDRESS, ADDRESS)(
+        boundary.data_ptr(), count, order.data_ptr(), sizes.data_ptr()
+    )
+    return None if loops < 0 else list(order.split(sizes[:loops].tolist()))
+
+
 def low_half_edges(points: Tensor, triangles: Tensor, among: Tensor, share: float) -> Tensor:
     """(N,) `layering.layers.low_half_edges` of points (V, 2) float64 and the half-edges `among` (3T,) bool."""
     points, triangles, among = points.contiguous(), triangles.contiguous(), among.contiguous()

@@ -303,6 +303,6 @@ class Untangle(_Layer):
         smoothing = SmoothOptions(ceiling=1.5, max_iterations=20, energy_tolerance=1e-2, single=True)
         options = ImproveOptions(
             topology=self.topology, shapes="equilateral", smooth=smoothing, smooth_rounds=3, polish=None,
-            relocate=False, least_gain=None, interfaces=interfaces,
+            relocate=False, least_gain=None, interfaces=interfaces, rounds=Rounds(tells_flips=False),
         )  # fmt: skip
         return improve(given, options)[0]

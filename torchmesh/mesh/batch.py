@@ -214,7 +214,10 @@ class MeshBatch:
         return MeshBatch(points, **moved, _rows_per_quad=self.rows_per_quad)
 
     def pin_memory(self) -> "MeshBatch":
-        """The batch in page-locked memory, from which a GPU copies faster; `DataLoader(pin_memory=True)` calls this."""
+        """The batch in page-locked memory, from which a GPU copies faster; `DataLoader(pin_memory=True)` calls this.
+
+        Where there is no GPU, torch raises RuntimeError, and a DataLoader warns and goes on without.
+        """
         names = [f.name for f in dataclasses.fields(self) if isinstance(getattr(self, f.name), Tensor)]
         return dataclasses.replace(self, **{name: getattr(self, name).pin_memory() for name in names}, _twin=None)
 

@@ -20,6 +20,9 @@ from .ragged import take, true_rows
 
 _INT32 = torch.iinfo(torch.int32).max
 
+# Loops of fewer edges take less time in Python than the call of a compiled loop.
+_FEW_EDGES = 32
+
 
 def next_in_triangle(h: Tensor) -> Tensor:
     """The half-edge after h in its triangle."""
@@ -180,6 +183,10 @@ def boundary_loops(boundary: Tensor) -> list[Tensor]:
     Where several loops meet in one vertex they are taken apart at it, so that no loop passes a
     vertex twice.
     """
+    if len(boundary) > _FEW_EDGES and loops_may_read(boundary):
+        loops = geometry.boundary_loops(boundary)
+        if loops is not None:
+            return loops
     pairs = boundary.tolist()
     onward = dict(pairs)
     if len(onward) == len(pairs):
@@ -194,7 +201,7 @@ def boundary_loops(boundary: Tensor) -> list[Tensor]:
             if len(order) > begin:
                 sizes.append(len(order) - begin)
         return list(torch.tensor(order, dtype=torch.int64, device=boundary.device).split(sizes))
-    loops: list[Tensor] = []
+    loops = []
     following: dict[int, list[int]] = {}
     for u, v in pairs:
         following.setdefault(u, []).append(v)

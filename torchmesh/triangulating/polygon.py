@@ -71,6 +71,20 @@ def winding(points: np.ndarray, p: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return total
 
 
+def windings(points: np.ndarray, p: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(E,) what each of the directed `edges` (E, 2) adds to the turns of its walk round the vertex of p (E,) beside it.
+
+    The sum over a closed walk is what `winding` counts.
+    """
+    y = points[:, 1]
+    low, high = y[edges[:, 0]] <= y[p], y[edges[:, 1]] > y[p]
+    turns = np.zeros(len(edges), np.int64)
+    some = np.flatnonzero(low == high)
+    side = signs(points, edges[some, 0], edges[some, 1], p[some])
+    turns[some] = np.where(low[some], side > 0, 0) - np.where(low[some], 0, side < 0)
+    return turns
+
+
 def why_not_simple(points: np.ndarray, loops: list[np.ndarray]) -> Obstacle | None:
     """What keeps the loops from bounding one domain on their left, if anything."""
     boundary = np.concatenate([loop_edges(loop) for loop in loops])

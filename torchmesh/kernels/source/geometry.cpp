@@ -253,3 +253,54 @@ TM_EXPORT void tm_triangle_components(const std::int64_t* twin, const std::uint8
         ++components;
     }
 }
+
+// The closed walks along directed edges (count, 2): their vertices one walk after the other, the number of vertices of
+// each, and how many there are; -1 if a walk does not close.
+TM_EXPORT std::int64_t tm_boundary_loops(const std::int64_t* edges, std::int64_t count, std::int64_t* order,
+                                         std::int64_t* sizes) {
+    std::vector<std::int64_t> names(edges, edges + 2 * count);
+    std::sort(names.begin(), names.end());
+    names.erase(std::unique(names.begin(), names.end()), names.end());
+    const std::size_t vertices = names.size();
+    std::vector<std::size_t> tail(std::size_t(count), 0), head(tail), start(vertices + 1, 0), onward(tail);
+    const auto named = [&](std::int64_t v) {
+        return std::size_t(std::lower_bound(names.begin(), names.end(), v) - names.begin());
+    };
+    for (std::size_t e = 0; e < tail.size(); ++e) {
+        tail[e] = named(edges[2 * e]);
+        head[e] = named(edges[2 * e + 1]);
+        ++start[tail[e] + 1];
+    }
+    for (std::size_t v = 0; v < vertices; ++v) start[v + 1] += start[v];
+    // The edges from v that are left are onward[start[v]] ... onward[left[v] - 1]; the last one is taken first.
+    std::vector<std::size_t> left(start.begin(), start.end() - 1), walk;
+    for (std::size_t e = 0; e < tail.size(); ++e) onward[left[tail[e]]++] = head[e];
+    std::vector<std::int64_t> position(vertices, -1);
+    std::int64_t loops = 0;
+    for (const std::size_t first : tail) {
+        if (left[first] == start[first]) continue;
+        walk.assign(1, first);
+        position[first] = 0;
+        while (!walk.empty()) {
+            const std::size_t u = walk.back();
+            if (left[u] == start[u]) return -1;
+            const std::size_t v = onward[--left[u]];
+            if (position[v] < 0) {
+                position[v] = std::int64_t(walk.size());
+                walk.push_back(v);
+                continue;
+            }
+            const auto from = std::size_t(position[v]);
+            for (std::size_t i = from; i < walk.size(); ++i) {
+                *order++ = names[walk[i]];
+                if (i > from) position[walk[i]] = -1;
+            }
+            sizes[loops++] = std::int64_t(walk.size() - from);
+            walk.resize(from + 1);
+            if (left[v] > start[v]) continue;
+            position[v] = -1;
+            walk.pop_back();
+        }
+    }
+    return loops;
+}
