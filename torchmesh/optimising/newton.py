@@ -55,7 +55,7 @@ class NewtonOptions:
     halvings            of a longer step at most, until the energy falls
     """
 
-    newton_steps: int = 20
+    newton_steps: int = 50
     tolerance: float = 1e-9
     cg_tolerance: float = 1e-10
     cg_iterations: int = 5000
