@@ -57,17 +57,23 @@ def winding(points: np.ndarray, p: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
     Exact for vertices not on an edge; a vertex on one is an end of a ray, counted half-open.
     """
-    total = np.zeros(len(p), np.int64)
-    y = points[:, 1]
-    step = max(1, _CHUNK // max(1, len(edges)))
-    for start in range(0, len(p), step):
-        part = p[start : start + step]
-        up = (y[edges[:, 0]] <= y[part, None]) & (y[edges[:, 1]] > y[part, None])
-        down = (y[edges[:, 0]] > y[part, None]) & (y[edges[:, 1]] <= y[part, None])
-        i, e = np.nonzero(up | down)
-        side = signs(points, edges[e, 0], edges[e, 1], part[i])
-        counted = np.where(up[i, e] & (side > 0), 1, 0) - np.where(down[i, e] & (side < 0), 1, 0)
-        np.add.at(total, start + i, counted)
+    total, y = np.zeros(len(p), np.int64), points[:, 1]
+    order = np.argsort(y[p], kind="stable")
+    height, (first, last) = y[p[order]], y[edges].T
+    # The vertices whose rays meet an edge follow each other in this order, from its lower end to below its upper one.
+    start, stop = (np.searchsorted(height, f(first, last)) for f in (np.minimum, np.maximum))
+    ends = np.cumsum(stop - start)
+    begin = 0
+    while begin < len(edges):
+        done = ends[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(ends, done + _CHUNK, "right")))
+        counts = (stop - start)[begin:end]
+        e = np.repeat(np.arange(begin, end), counts)
+        i = order[np.arange(len(e)) + np.repeat(start[begin:end] - (ends[begin:end] - counts - done), counts)]
+        side = signs(points, edges[e, 0], edges[e, 1], p[i])
+        up = (first < last)[e]
+        total += np.bincount(i[up & (side > 0)], minlength=len(p)) - np.bincount(i[~up & (side < 0)], minlength=len(p))
+        begin = end
     return total
 
 

@@ -340,8 +340,7 @@ def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) ->
         return np.asarray(among(keys, keys[wanted]).any(1))
     corners = [np.ascontiguousarray(v) for v in triangles.T]
     mark = np.zeros(int(triangles.max(initial=0)) + 1, bool)
-    for v in corners:
-        mark[v[wanted]] = True
+    mark[triangles[np.flatnonzero(wanted)]] = True
     return np.asarray(mark[corners[0]] | mark[corners[1]] | mark[corners[2]])
 
 
