@@ -6,6 +6,7 @@ import meshes
 import numpy as np
 import pytest
 import torch
+from both_loops import both, need_compiled_loops
 
 import torchmesh as tm
 from torchmesh import MeshBatch
@@ -184,3 +185,11 @@ def test_uniform_is_uniform_in_each_mesh():
 def test_options_of_the_continuation_that_cannot_work_are_refused(name, value):
     with pytest.raises(ValueError, match=f"InwardOptions.{name} must"):
         InwardOptions(**{name: value})
+
+
+def test_compiled_conjugate_gradients_come_to_the_sizes_of_torch():
+    need_compiled_loops()
+    batch = tm.join([meshes.delaunay(200, seed=1), meshes.ring(), meshes.l_shape(5)])
+    by_torch, compiled = both(lambda: size_field(batch, accuracy=1e-3))
+    assert torch.allclose(by_torch, compiled, rtol=1e-10, atol=0)
+    assert not torch.equal(compiled, size_field(batch))

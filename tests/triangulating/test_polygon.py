@@ -51,3 +51,19 @@ def test_nested_holes_are_found_by_sweep_and_by_tree(monkeypatch):
         assert outer.tolist() == [0, 1, 2, 3]
         assert inner.tolist() in ([4, 5, 6, 7], [12, 13, 14, 15])
         monkeypatch.setattr("torchmesh.triangulating.polygon.overlapping_boxes", lambda low, high: None)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_winding_is_that_of_a_table_of_all_rays_and_edges(seed):
+    # On a coarse lattice, where rays go through vertices and along edges.
+    rng = np.random.default_rng(seed)
+    points = rng.integers(0, 6, (60, 2)).astype(float)
+    walk = rng.permutation(60)[:30]
+    edges, every = np.stack([walk, np.roll(walk, -1)], 1), np.arange(60)
+    x, y = points.T
+    (a, b), q = edges.T, every[:, None]
+    left = (x[b] - x[a]) * (y[q] - y[a]) - (y[b] - y[a]) * (x[q] - x[a])
+    up, down = (y[a] <= y[q]) & (y[q] < y[b]), (y[b] <= y[q]) & (y[q] < y[a])
+    expected = (up & (left > 0)).sum(1) - (down & (left < 0)).sum(1)
+    assert np.array_equal(winding(points, every, edges), expected)
+    assert expected.any()
