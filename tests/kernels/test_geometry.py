@@ -84,6 +84,18 @@ def test_boundary_loops_are_the_same(generator, monkeypatch):
     assert geometry.boundary_loops(edges[-2]) is None
 
 
+def test_half_edges_on_edges_are_the_same(generator):
+    for mesh in batches(generator):
+        inside = connectivity.edges(mesh.triangles, mesh.twin)
+        some = inside[torch.rand(len(inside), generator=generator) < 0.3]
+        other = torch.randint(0, len(mesh.points), (20, 2), generator=generator)  # few of them are edges
+        for edges in (some, some.flip(1), torch.cat([some, some.flip(1), other]), other, inside[:0]):
+            expected, got = (f(mesh.triangles, edges, len(mesh.points)) for f in
+                             (connectivity.half_edges_on, without_autograd(connectivity.half_edges_on)))  # fmt: skip
+            assert torch.equal(expected, got)
+            assert int(got.sum()) >= (len(edges) if edges is some else 0)
+
+
 def test_low_triangles_are_the_same(generator):
     for mesh in batches(generator):
         among = torch.rand(3 * len(mesh.triangles), generator=generator) < 0.6

@@ -71,6 +71,16 @@ def boundary_loops(boundary: Tensor) -> list[Tensor] | None:
     return None if loops < 0 else list(order.split(sizes[:loops].tolist()))
 
 
+def half_edges_on(triangles: Tensor, edges: Tensor, vertices: int) -> Tensor:
+    """(3T,) bool `mesh.connectivity.half_edges_on`."""
+    triangles, edges = triangles.contiguous(), edges.contiguous()
+    out = torch.empty(triangles.numel(), dtype=torch.bool)
+    function("tm_half_edges_on", None, ADDRESS, INT64, ADDRESS, INT64, INT64, ADDRESS)(
+        triangles.data_ptr(), out.numel(), edges.data_ptr(), len(edges), vertices, out.data_ptr()
+    )
+    return out
+
+
 def low_half_edges(points: Tensor, triangles: Tensor, among: Tensor, share: float) -> Tensor:
     """(N,) `layering.layers.low_half_edges` of points (V, 2) float64 and the half-edges `among` (3T,) bool."""
     points, triangles, among = points.contiguous(), triangles.contiguous(), among.contiguous()

@@ -96,6 +96,8 @@ def boundary_vertices(triangles: Tensor, twin: Tensor, vertices: int) -> Tensor:
 
 def half_edges_on(triangles: Tensor, edges: Tensor, vertices: int) -> Tensor:
     """(3T,) bool: the half-edges, both of an edge, that lie on the `edges` (K, 2)."""
+    if len(edges) and loops_may_read(triangles):
+        return geometry.half_edges_on(triangles, edges, vertices)
     found = torch.zeros(triangles.numel(), dtype=torch.bool, device=triangles.device)
     if not len(edges):
         return found

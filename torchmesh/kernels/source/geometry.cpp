@@ -74,6 +74,25 @@ bool meet(const double* points, const std::int64_t* one, const std::int64_t* two
 
 using torchmesh::at;
 
+// Which half-edges (count,) lie on the edges (number, 2), whichever way they run.
+TM_EXPORT void tm_half_edges_on(const std::int64_t* triangles, std::int64_t count, const std::int64_t* edges,
+                                std::int64_t number, std::int64_t vertices, std::uint8_t* out) {
+    // The edges of each vertex that is their lower end: other[start[v]] ... other[start[v + 1] - 1].
+    std::vector<std::int64_t> start(vertices + 1, 0), other(number);
+    for (std::int64_t i = 0; i < number; ++i) ++start[std::min(edges[2 * i], edges[2 * i + 1]) + 1];
+    for (std::int64_t v = 0; v < vertices; ++v) start[v + 1] += start[v];
+    std::vector<std::int64_t> next(start.begin(), start.end() - 1);
+    for (std::int64_t i = 0; i < number; ++i) {
+        const auto ends = std::minmax(edges[2 * i], edges[2 * i + 1]);
+        other[next[ends.first]++] = ends.second;
+    }
+    for (std::int64_t h = 0; h < count; ++h) {
+        const std::int64_t u = triangles[h], v = triangles[h % 3 == 2 ? h - 2 : h + 1], low = std::min(u, v);
+        const std::int64_t* end = other.data() + start[low + 1];
+        out[h] = std::find(static_cast<const std::int64_t*>(other.data()) + start[low], end, std::max(u, v)) != end;
+    }
+}
+
 // The half-edges `among` (count,) whose triangle is at most `share` times as high above them as they are long; their
 // number is returned.
 TM_EXPORT std::int64_t tm_low_half_edges(const double* points, const std::int64_t* triangles, const std::uint8_t* among,
