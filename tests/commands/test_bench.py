@@ -16,6 +16,16 @@ def test_a_foreign_method_beside_ours(call, folder):
     assert {"results.csv", "results.parquet", "index.html"} <= {p.name for p in (folder / "results").iterdir()}
 
 
+def test_errors_of_a_foreign_method_are_told(call, folder):
+    """A table of 0 percent alone would leave its author in the dark."""
+    wrong = "from torchmesh import bench\n@bench.method('wrong')\ndef wrong(mesh):\n    return mesh.case\n"
+    (folder / "wrong.py").write_text(wrong)
+    done = call("bench", "run", "--with", "wrong.py", "--methods", "wrong", "--families", "jitter", "--limit", "1",
+                "--out", "wrong")  # fmt: skip
+    assert done.status == 0, done
+    assert "wrong raised 1 error; the first, in jitter 0: AttributeError" in done.err, done
+
+
 def test_what_is_unknown_is_one_line(call):
     for arguments in (
         ["--methods", "nothing"], ["--families", "nothing"], ["--with", "nothing.py"], ["--weights", "nothing.pt"],

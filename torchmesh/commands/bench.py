@@ -93,6 +93,8 @@ def run(
     except ValueError as error:
         raise UsageError(str(error)) from None
     _print_table(rows)
+    for text in _errors(rows):
+        console.say(text)
     if not quiet:
         console.say(f"{console.counted(len(rows), 'row')} in {out / 'results.csv'}; to look at: {out / 'index.html'}")
     return 0
@@ -135,6 +137,19 @@ def _use_weights(path: Path | None) -> None:
     from ..bench.weights import VARIABLE
 
     os.environ[VARIABLE] = str(path)
+
+
+def _errors(rows: "list[Row]") -> list[str]:
+    """For each method that raised errors: how often, and the first of them."""
+    failed: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["outcome"] == "error":
+            failed.setdefault(row["method"], []).append(row)
+    return [
+        f"{name} raised {console.counted(len(own), 'error')}; the first, in {own[0]['family']} {own[0]['case']}: "
+        f"{own[0]['fault']}"
+        for name, own in failed.items()
+    ]
 
 
 def _print_table(rows: "list[Row]") -> None:

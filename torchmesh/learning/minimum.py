@@ -5,6 +5,7 @@ function theorem, as nn.py explains.
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -85,25 +86,29 @@ def minimum(
     options: LayerOptions | None = None,
     aims: Aims | None = None,
     near: Tensor | None = None,
-    last: Nearby | None = None,
-) -> tuple[Tensor, LayerInfo, Nearby]:
+    known: Sequence[Nearby] = (),
+) -> tuple[Tensor, LayerInfo, tuple[Nearby, ...]]:
     """The minimum of the energy near the valid meshes of `start`, differentiable in the fixed rows of `points`.
 
     points  (V, 2) float32 or float64; `start.points` must have the same values at fixed vertices
     aims    what triangles should look like, which may require gradients; None: equilateral
     near    (V, 2) points at whose Hessians the linear systems of Newton's method are preconditioned; None: the start
-    last    what another call has returned, so that it need not be computed again
+    known   what another call has returned, so that it need not be computed again
 
-    Returns the points (V, 2) of the minimum, how it was reached, and the Hessians there.
+    Returns the points (V, 2) of the minimum, how it was reached, and the Hessians there and at `near`.
     """
     options, aims = options or LayerOptions(), aims or Aims()
     coefficients = aims.coefficients(start)
     posed = Posed(aims.energy(options.smooth), None if coefficients is None else coefficients.detach())
     held = holding(start, options.smooth.interfaces)
     with torch.no_grad():
-        state, info = _minimise(held, options, posed, held if near is None else held.with_points(near), last)
+        at = held if near is None else held.with_points(near)
+        state, info, begun = _minimise(held, options, posed, at, known)
+        if near is None:
+            # A call from nothing, which takes long, prepares for the backward pass and for a call that starts from it.
+            state.nearby.factors  # noqa: B018
     out: Tensor = _Minimum.apply(points, coefficients, state, options)
-    return out, info, state.nearby
+    return out, info, (state.nearby,) if near is None else (state.nearby, begun)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,17 +232,16 @@ def _gradients(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor | None]:
 
 
 def _minimise(
-    start: MeshBatch, options: LayerOptions, posed: Posed, near: MeshBatch, last: Nearby | None
-) -> tuple[_State, LayerInfo]:
-    """Newton's method from `start`, each valid mesh with its own step and stopping test."""
+    start: MeshBatch, options: LayerOptions, posed: Posed, near: MeshBatch, known: Sequence[Nearby]
+) -> tuple[_State, LayerInfo, Nearby]:
+    """Newton's method from `start`, each valid mesh with its own step and stopping test; the Hessians at `near`."""
     valid = ~segment_any(~upright(start), start.triangle_offsets)
     packing = packed(start, valid)
     problem = posed.over(start, packing)
-    orders = problem.orders(None if last is None else last.orders)
-    known = Nearby(near, valid, posed, orders)
-    if last is not None and last.is_at(near, valid, posed):
-        known = last
-    x, step = newton(problem, packing.unknowns, valid, options, known.factors)
+    orders = problem.orders(known[0].orders if known else None)
+    begun = Nearby(near, valid, posed, orders)
+    begun = next((one for one in known if one.is_at(near, valid, posed)), begun)
+    x, step = newton(problem, packing.unknowns, valid, options, begun.factors)
     points = packing.unpack(x, start.points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh stays where it started.
     flat = segment_any(~upright(start.with_points(points)), start.triangle_offsets) & valid
@@ -251,4 +255,4 @@ def _minimise(
     there = start.with_points(points)
     state = _State(points, problem, x, start, Nearby(there, converged, posed, orders))
     status = torch.where(converged, int(Status.CONVERGED), torch.where(valid, int(Status.VALID), int(Status.INVERTED)))
-    return state, LayerInfo(valid, converged, step, status, there)
+    return state, LayerInfo(valid, converged, step, status, there), begun

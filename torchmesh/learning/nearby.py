@@ -1,6 +1,6 @@
 """Hessians at the result of a forward pass: their factors serve its backward pass, and the next pass that starts there.
 
-    forward 1  ->  result 1  ---- factors of the Hessian there ---->  backward 1, forward 2 from result 1
+    forward 1  ->  result 1  ---- factors of the Hessian there ---->  backward 1, every forward pass from result 1
     forward 2  ->  result 2  ---- ...
 
 The factors are preconditioners: they change how many steps the solution of a linear system takes, and the solution

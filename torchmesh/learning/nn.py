@@ -69,12 +69,12 @@ class _Layer(WithMesh):
         self.options = options or LayerOptions()
         self.on_failure = on_failure
         self.info: LayerInfo | None = None
-        self._last: Nearby | None = None
+        self._nearby: tuple[Nearby, ...] = ()
         self._checked: MeshBatch | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         # What is remembered of the last pass belongs to this process.
-        return self.__dict__ | {"_last": None, "_checked": None}
+        return self.__dict__ | {"_nearby": (), "_checked": None}
 
     def extra_repr(self) -> str:
         return f"{self.mesh}, on_failure={self.on_failure!r}"
@@ -131,7 +131,7 @@ class _Layer(WithMesh):
         with without_autocast():
             with torch.no_grad():
                 found, status, near = self._found(given, unfit, start, aims)
-            out, info, self._last = minimum(points, found, self.options, aims, near, self._last)
+            out, info, self._nearby = minimum(points, found, self.options, aims, near, self._nearby)
         self.info = replace(info, status=torch.where(info.valid, info.status, status))
         return out
 
