@@ -126,6 +126,7 @@ def collapse(e: Editable, h: Tensor) -> None:
 
 
 # Takes half-edges (M,) to numbers (M,): the edges with the lowest ones are collapsed first, those with infinity never.
+# The number of an edge may change only with its ends.
 Wish = Callable[[Tensor], Tensor]
 
 
@@ -151,12 +152,12 @@ def collapse_rounds(
     """
     total = torch.zeros(e.meshes, dtype=torch.int64, device=e.x.device)
     going = torch.ones_like(total, dtype=torch.bool) if budget is None else budget > 0
-    # Edges, as their lower half-edge, that were refused and near which nothing has changed since.
+    # Edges, as their lower half-edge, that were not wished for or refused, and at whose ends nothing has changed since.
     asleep = torch.zeros(len(e.twin), dtype=torch.bool, device=e.x.device)
     every = torch.arange(len(e.twin), device=e.x.device)
     for _ in range(max_rounds):
         edge = e.edges()
-        edge, key = _asked(e, edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]], wish)
+        edge, key = _asked(e, edge[going[e.mesh[e.vertex[edge]]] & ~asleep[edge]], wish, asleep)
         if not len(edge):
             break
         h, key, claims = _chosen(e, edge, key, judge, asleep)
@@ -175,10 +176,15 @@ def collapse_rounds(
     return total
 
 
-def _asked(e: Editable, edge: Tensor, wish: Wish) -> tuple[Tensor, Tensor]:
-    """Those of the edges (M,) that want most to be collapsed at one of their ends, and their keys, lowest first."""
+def _asked(e: Editable, edge: Tensor, wish: Wish, asleep: Tensor) -> tuple[Tensor, Tensor]:
+    """Those of the edges (M,) that want most to be collapsed at one of their ends, and their keys, lowest first.
+
+    asleep  (3T,) bool; the edges that are not wished for are marked in it
+    """
     want = wish(edge)
-    asked = true_rows(want.isfinite())
+    wanted = want.isfinite()
+    asleep[edge[~wanted]] = True
+    asked = true_rows(wanted)
     edge, key = edge[asked], e.shuffled(edge[asked], want[asked])
     first = _first_at_an_end(e, edge, key)
     return edge[first], key[first]
