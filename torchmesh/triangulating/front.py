@@ -26,8 +26,8 @@ class FrontOptions:
     """How vertices are placed.
 
     done  a triangle is done when the radius of its circle is at most this many times the size wanted: 0.577 is that of
-          an equilateral triangle.  With 0.7071 edges have 0.97 times their sizes on average, with 0.75 0.99, with 0.65
-          0.95; means are the same within 0.001, and on stretched boundaries 0.7071 had the lowest maxima
+          an equilateral triangle.  With 0.7071 edges have 0.97 times their sizes on average, with 0.75 0.99, at means
+          within 0.001 of each other; on stretched boundaries 0.7071 had the lowest maxima.  0.65 is worse
     room  a new vertex is at least so many times the size wanted away from those round it
     """
 
