@@ -19,7 +19,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import holding
 from ..mesh.measure import upright
 from .options import NewtonWays
-from .persisting import pushed
+from .persisting import pushed, sizes_to_push
 
 Edge = tuple[int, int]
 
@@ -147,7 +147,8 @@ class _Search:
         self.points, self.inverted = mesh.points, int((~upright(mesh)).sum())
         self.lack = float("inf")
         self.fewer_trials = max(1.0, len(mesh.triangles) / options.size)
-        self.take(self.flips, *pushed(mesh, options.ways))
+        self.size = sizes_to_push(mesh, options.ways)
+        self.take(self.flips, *pushed(mesh, options.ways, self.size))
 
     def take(self, flips: list[Edge], points: Tensor, inverted: int, lack: float) -> bool:
         """Go on with these if they are better."""
@@ -163,7 +164,7 @@ class _Search:
         return wiring
 
     def pushed(self, wiring: _Wiring) -> tuple[Tensor, int, float]:
-        return pushed(self.mesh.with_triangles(wiring.triangles()), self.options.ways, self.points)
+        return pushed(self.mesh.with_triangles(wiring.triangles()), self.options.ways, self.size, self.points)
 
     def found(self) -> bool:
         """Look until no triangle is inverted; is none?"""
@@ -203,7 +204,7 @@ class _Search:
                 wiring.flip(*edge)
                 left -= 1
                 turned = self.mesh.with_triangles(wiring.triangles()).with_points(points)
-                tried = pushed(turned, self.options.ways, points)
+                tried = pushed(turned, self.options.ways, self.size, points)
                 if stay:
                     tried = min(tried, (points, int((~upright(turned)).sum()), float("inf")), key=lambda t: t[1:])
                 if self.take([*flips, edge], *tried):

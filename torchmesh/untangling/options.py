@@ -46,16 +46,22 @@ class NewtonWays:
     stall_depth: float = 8.0
     first_push: int = 6
     weightings: tuple[tuple[int, float, float], ...] = (
+        (1000, 0.3, 5.0),
+        (100, 0.1, 5.0),
+        (100, 0.3, 3.0),
+        (1000, 0.03, 3.0),
+        (20, 0.3, 3.0),
         (1000, 0.1, 3.0),
         (100, 0.3, 2.0),
-        (20, 0.3, 2.0),
-        (1000, 0.03, 2.0),
-        (100, 0.1, 2.0),
         (20, 0.1, 3.0),
+        (1000, 0.3, 2.0),
+        (100, 0.03, 3.0),
+        (20, 0.3, 2.0),
+        (1000, 0.1, 5.0),
     )
     weight_rounds: int = 60
     weight_pushes: int = 60
-    weight_decay: float = 0.95
+    weight_decay: float = 0.9
 
     def __post_init__(self) -> None:
         counts = ["pushes", "steps_per_alpha", "steps_per_epsilon", "max_continuations", "stall_patience", "first_push"]

@@ -151,22 +151,30 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     return best
 
 
-def pushed(mesh: MeshBatch, options: NewtonWays, start: Tensor | None = None) -> tuple[Tensor, int, float]:
+def sizes_to_push(mesh: MeshBatch, options: NewtonWays) -> Tensor:
+    """(V,) the sizes of one mesh for `pushed`, at the Tutte embedding; a few flips hardly change them."""
+    return local_size(mesh.with_points(_embedded(mesh, ~mesh.fixed)), options.size_sweeps[0])
+
+
+def pushed(
+    mesh: MeshBatch, options: NewtonWays, size: Tensor, start: Tensor | None = None
+) -> tuple[Tensor, int, float]:
     """Push the areas of one mesh, whose vertices are free unless fixed, from the positions `start` (V, 2).
 
+    size   (V,) of the triangles around each vertex
     start  None: the Tutte embedding
 
     Returns positions, the number of inverted triangles there, and the sum of their negative areas, as a positive number
     in units of the mean area.
     """
     free = ~mesh.fixed
-    start = _embedded(mesh, free) if start is None else start
-    sized = mesh.with_points(start)
-    task = _Task(sized, free, options, Best(sized, start, int((~upright(sized)).sum())))
-    least = min(options.betas)
-    system, _ = task.system(options.size_sweeps[0])
-    found = push_areas(system, task.scaled(start), least, LevenbergOptions(max_iterations=options.pushes))
-    points = torch.where(free[:, None], found.points * task.unit + task.centre, start.to(torch.float64)).to(start)
+    start = (_embedded(mesh, free) if start is None else start).to(torch.float64)
+    centre, unit = centre_and_unit(start, mesh.point_offsets)
+    target = ideal(mesh, size[mesh.triangles].mean(1) / unit)
+    scaled = (start - centre) / unit
+    system = NewtonSystem(scaled, mesh.triangles, free, target)
+    found = push_areas(system, scaled, min(options.betas), LevenbergOptions(max_iterations=options.pushes))
+    points = torch.where(free[:, None], found.points * unit + centre, start).to(mesh.points)
     lack = float((-found.det).clamp_min(0).sum())
     return points, int((~upright(mesh.with_points(points))).sum()), lack
 
