@@ -122,3 +122,20 @@ def test_single_precision_stays_single():
     assert after.points.dtype == torch.float32
     assert bool(report.certified)
     assert stages(report) == ["initial", "anew"]
+
+
+def test_where_the_front_leaves_poor_triangles_splits_and_collapses_are_tried_and_the_lower_mean_is_taken():
+    batch = tm.join([tm.domains.generate(9, triangles=110, seed=seed).deformed[b] for seed, b in ((540, 1), (528, 0))])
+    after, report = tm.improve(batch, FULL)
+    assert bool(report.certified.all())
+    assert float(report.quality.mean[0]) < 1.08
+    assert report.steps[0][-1].stage != "anew"
+    assert float(report.quality.mean[1]) < 1.08
+    assert report.steps[1][-1].stage == "anew"
+    for b in range(2):
+        alone, its = tm.improve(batch[b], FULL)
+        assert torch.equal(alone.points, after[b].points)
+        assert torch.equal(alone.triangles, after[b].triangles)
+        assert [row.stage for row in its.steps[0]] == [row.stage for row in report.steps[b]]
+        given = report.vertex_map.old_to_new[batch.point_offsets[b] : batch.point_offsets[b + 1]]
+        assert int((given >= 0).sum()) == int((its.vertex_map.old_to_new >= 0).sum()) > 20

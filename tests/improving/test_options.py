@@ -41,5 +41,5 @@ def test_a_value_that_cannot_be_is_refused_by_name(record, name, value):
 
 @pytest.mark.parametrize("record", [Rounds, Refining, LocalRepair])
 def test_every_number_of_a_record_is_checked(record):
-    numbers = {name for name, value in vars(record()).items() if isinstance(value, int | float)}
+    numbers = {name for name, value in vars(record()).items() if type(value) in (int, float)}
     assert {name for kind, name, _ in WRONG if kind is record} == numbers
