@@ -3,11 +3,13 @@
 import dataclasses
 
 import meshes
+import numpy as np
 import pytest
 import torch
 from judges import assert_same_domain
 
 import torchmesh as tm
+from experiments.robustness.attack.impossible import torus
 from torchmesh import ImproveOptions, RemeshOptions, Status, improve, join
 
 FULL = ImproveOptions(topology="full")
@@ -139,3 +141,12 @@ def test_where_the_front_leaves_poor_triangles_splits_and_collapses_are_tried_an
         assert [row.stage for row in its.steps[0]] == [row.stage for row in report.steps[b]]
         given = report.vertex_map.old_to_new[batch.point_offsets[b] : batch.point_offsets[b + 1]]
         assert int((given >= 0).sum()) == int((its.vertex_map.old_to_new >= 0).sum()) > 20
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mesh_with_a_handle_is_not_made_anew(seed):
+    """Its boundary is that of a mesh of the plane, and it is none."""
+    mesh = tm.MeshBatch.from_arrays(*torus(np.random.default_rng(seed), 30)[:2])
+    _, report = improve(mesh, FULL)
+    assert not bool(report.valid[0])
+    assert all(not row.kept for row in report.steps[0] if row.stage == "anew")

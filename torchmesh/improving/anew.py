@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import constraint_owner
+from ..mesh.certificate import euler_numbers
 from ..mesh.ragged import counts_from_offsets, segment_any
 from ..optimising.moves import Monitor
 from ..status import Status
@@ -137,6 +138,8 @@ def _stage(options: ImproveOptions, limits: AnewLimits) -> Stage:
         highest = (limits.slack * before.max[found.made]).clamp_min(remesh.smooth.ceiling or 1.0)
         better = (part.quality.mean <= before.mean[found.made]) & (part.quality.max <= highest)
         good = part.valid & (better | ~state.valid[found.made])
+        # A mesh with a handle has a boundary like others, but no mesh of the plane has its Euler number.
+        good = good & (euler_numbers(part.mesh, part.mesh.twin) == euler_numbers(part.given, part.given.twin))
         kept = found.made.masked_scatter(found.made, good)
         flips, iterations = (none.masked_scatter(found.made, n) for n in (found.flips, found.iterations))
         work = Work.done(state, flips=flips, iterations=iterations, kept=kept)

@@ -52,7 +52,7 @@ def same_frame(
     keys = [edges[:, 0] * count + edges[:, 1] for edges in (old, new)]
     fail(old[~torch.isin(*keys), 0])
     fail(new[~torch.isin(*keys[::-1]), 0].clamp_min(0))
-    same &= _euler_numbers(before, old_twin) == _euler_numbers(after, twin)
+    same &= euler_numbers(before, old_twin) == euler_numbers(after, twin)
     wanted = before.constrained_edges
     if len(wanted):
         present, size = connectivity.edges(after.triangles, twin), len(after.points)
@@ -79,7 +79,7 @@ def _whole(edges: Tensor, old_row: Tensor) -> Tensor:
     return torch.stack([old_row[start], old_row[here]], 1)
 
 
-def _euler_numbers(batch: MeshBatch, twin: Tensor) -> Tensor:
+def euler_numbers(batch: MeshBatch, twin: Tensor) -> Tensor:
     """(B,) V - E + F of each mesh, over the vertices that have a triangle: 2 E is 3 F and the boundary's edges."""
     used = connectivity.vertex_triangle_counts(batch.triangles, len(batch.points)) > 0
     boundary = segment_count(twin < 0, 3 * batch.triangle_offsets)
