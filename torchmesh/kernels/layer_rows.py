@@ -1,41 +1,45 @@
-"""The next row of the walk that finds layers, compiled."""
+"""The walk that finds layers, compiled."""
 
 import ctypes
 
 import torch
 from torch import Tensor
 
-from .library import ADDRESS, INT32, INT64, function
+from .library import ADDRESS, INT64, function
 
 _SIX = ctypes.c_double * 6
 
 
-def next_row(
+def walk(
     mesh: tuple[Tensor, Tensor, Tensor, Tensor, Tensor],
     limits: tuple[float, ...],
-    first: bool,
-    front: tuple[Tensor, Tensor, Tensor],
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The quadrilaterals of `layering.layers._Walk.next_row`; of their heights the last bit may differ.
+    rows: int,
+    walls: Tensor,
+    lengths: Tensor,
+) -> tuple[tuple[Tensor, ...], int]:
+    """The quadrilaterals that `layering.layers._rows` finds; of their heights the last bit may differ.
 
-    mesh    points (V, 2) float64, half-edges' vertices (3T,) and twins (3T,) int64, blocked (3T,) and free (T,) bool
-    limits  the six of `LayerOptions`: first, height, lean, turn, shrink, alike
-    first   whether the row is the one next to the wall
-    front   (S,) the half-edges at the upper ends, the lengths of their walls, and the heights of the rows below
+    mesh     points (V, 2) float64, half-edges' vertices (3T,) and twins (3T,) int64, blocked (3T,) and free (T,) bool
+    limits   the six of `LayerOptions`: first, height, lean, turn, shrink, alike
+    rows     in so many rows, quadrilaterals must stand side by side
+    walls    (S,) int64, the half-edges from which the walk goes out, of these `lengths` (S,) float64
 
-    Returns their rows in the front (N,), corners (N, 4), ends of diagonals (N, 2), triangles (N, 2) and heights (N,).
+    Returns the fields of `Layers`, N rows each, and how many of these are in the first row.
     """
-    # The caller's tensors outlive the call, and so do the copies that are made of those that are not contiguous.
-    given = [v.contiguous() for v in (*mesh, *front)]
-    start = [v.data_ptr() for v in given]
-    count = len(front[0])
-    whole = [torch.empty((count, width), dtype=torch.int64) for width in (1, 4, 2, 2)]
-    height = torch.empty(count, dtype=torch.float64)
-    six = _SIX(*limits)
-    call = function("tm_next_row", INT64, *[ADDRESS] * 5, INT64, ADDRESS, INT32, *[ADDRESS] * 3, INT64, *[ADDRESS] * 5)
+    # These tensors outlive the call, and so do the copies that are made of those that are not contiguous.
+    given = [v.contiguous() for v in (*mesh, walls, lengths)]
+    start, faces = [v.data_ptr() for v in given], len(mesh[4])
+    # A quadrilateral takes two triangles.
+    wall, row = torch.empty((2, faces // 2 + 1), dtype=torch.int64)
+    corners, ends, pair = (torch.empty((faces // 2 + 1, width), dtype=torch.int64) for width in (4, 2, 2))
+    height = torch.empty(faces // 2 + 1, dtype=torch.float64)
+    six, begun = _SIX(*limits), ctypes.c_int64()
+    fields = wall, row, corners, ends, pair, height
+    call = function(
+        "tm_walk_layers", INT64, *[ADDRESS] * 5, INT64, ADDRESS, INT64, ADDRESS, ADDRESS, INT64, *[ADDRESS] * 7
+    )
     found = call(
-        *start[:5], len(mesh[4]), ctypes.addressof(six), int(first), *start[5:], count,
-        *(v.data_ptr() for v in (*whole, height)),
+        *start[:5], faces, ctypes.addressof(six), rows, *start[5:], len(walls),
+        *(v.data_ptr() for v in fields), ctypes.addressof(begun),
     )  # fmt: skip
-    place, corners, ends, pair = (v[:found] for v in whole)
-    return place[:, 0], corners, ends, pair, height[:found]
+    return tuple(v[:found].clone() for v in fields), begun.value

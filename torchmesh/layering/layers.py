@@ -176,7 +176,17 @@ def _side_by_side(batch: MeshBatch, walls: Tensor) -> bool:
 
 def _walked(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
     """What a walk finds among the triangles that are upright (T,) bool."""
+    return _rooted(_rows(walk, batch, is_upright), walk.options)
+
+
+def _rows(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
+    """All rows of a walk; `walk.begun` are then the walls on which a first row stands."""
     options, rows = walk.options, list[Layers]()
+    if loops_may_read(walk.points):
+        mesh = walk.points, walk.tail, walk.twin, walk.blocked, is_upright
+        found, begun = layer_rows.walk(mesh, options.limits, options.rows, walk.wall, walk.length)
+        walk.begun = found[0][:begun]
+        return Layers(*found)
     walk.free = is_upright.clone()
     while len(walk.front):
         quads = walk.next_row(len(rows) + 1)
@@ -187,7 +197,7 @@ def _walked(walk: "_Walk", batch: MeshBatch, is_upright: Tensor) -> Layers:
             break
         walk.go_on(quads)
         rows.append(quads)
-    return _rooted(_joined(rows, batch), options)
+    return _joined(rows, batch)
 
 
 class _Walk:
@@ -216,12 +226,6 @@ class _Walk:
 
     def next_row(self, row: int) -> Layers:
         """The quadrilaterals on the front, each of the better of the two pairs of triangles that it may be."""
-        if loops_may_read(self.points):
-            mesh = self.points, self.tail, self.twin, self.blocked, self.free
-            front = self.front, self.length, self.below
-            place, *found = layer_rows.next_row(mesh, self.options.limits, row == 1, front)
-            wall = self.wall[place]
-            return Layers(wall, torch.full_like(wall, row), *found)
         quads, good, lean = self._quadrilaterals(row)
         count = len(self.front)
         falls, rises = good[:count], good[count:]
