@@ -10,6 +10,7 @@ from exact import inverted
 from layered import first_heights, round_body, turned_body
 
 from torchmesh import (
+    Bound,
     ConvergenceError,
     DeformOptions,
     ImproveOptions,
@@ -110,6 +111,22 @@ def test_no_motion_at_all():
     mesh = meshes.grid()
     after, report = deform(mesh, mesh.points)
     assert_arrived(mesh, mesh.points, after, report)
+
+
+def test_a_good_mesh_that_stands_still_comes_back_to_the_bit_with_a_trail_that_lasts_the_whole_step():
+    channels = [channel(), meshes.disturbed(meshes.grid(), 0.02, 1)]
+    batch = join(channels)
+    goal = batch.points.clone()
+    goal[batch.point_offsets[1] :] *= 1.1  # the second one moves
+    options = DeformOptions(when=Bound(angle=5.0))
+    after, report = deform(batch, goal, options=options, trail=True)
+    assert_arrived(batch, goal, after, report)
+    assert torch.equal(after[0].points, channels[0].points)
+    assert [(piece.start, piece.end) for piece in report.trail[0]] == [(0.0, 1.0)]
+    assert torch.equal(report.trail[0][0].before.points, report.trail[0][0].after.points)
+    alone, its = deform(channels[1], goal[batch.point_offsets[1] :], options=options)
+    assert torch.equal(after[1].points, alone.points)
+    assert report.path[1] == its.path[0]
 
 
 @pytest.mark.parametrize("steps", [1, 3, 8])

@@ -23,7 +23,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.interfaces import released
 from ..mesh.measure import quality
 from ..mesh.quads import halved, has_quads, whole
-from ..mesh.ragged import spread, true_rows
+from ..mesh.ragged import segment_any, spread, true_rows
 from ..mesh.regions import region_areas
 from ..mesh.validation import fit_positions
 from ..mesh.vertex_map import VertexMap
@@ -247,6 +247,12 @@ class Task:
         follow = held.fixed & ~batch.fixed
         return cls(batch, torch.where(follow[:, None], end, goal), held, path, follow, unfit)
 
+    @property
+    def unmoved(self) -> Tensor:
+        """(B,) bool: the meshes of which nothing has to move."""
+        asked = self.held.fixed & (self.target != self.batch.points).any(1)
+        return ~segment_any(asked, self.batch.point_offsets)
+
     def select(self, at: Tensor, options: DeformOptions) -> "Task":
         """The task of the meshes `at` (B,) bool, which have no followers."""
         rows = spread(at, self.batch.point_offsets)
@@ -267,6 +273,7 @@ def _moved(
     if keep_layers and task.follow is None:
         mesh, way, has_layers = with_layers(mesh, way)
     motion = Motion.begin(mesh, way, longest, trail)
+    motion = motion.arrived(task.unmoved & ~task.unfit)
     motion = replace(motion, status=torch.where(task.unfit, int(Status.NOT_FINITE), motion.status))
     while bool(motion.going.any()):
         before, motion = motion, advance(motion, options)

@@ -76,6 +76,23 @@ class Motion:
         pieces = ((),) * len(batch) if trail else None
         return cls(batch, path, longest, status, reached, length, none, none, none, (), blocked, pieces)
 
+    def arrived(self, at: Tensor) -> "Motion":
+        """This motion before its first step, with that of the meshes `at` (B,) bool, which stand still, taken."""
+        if not bool(at.any()):
+            return self
+        pieces = self.pieces
+        if pieces is not None:
+            still = zip(self.mesh.split(), at.tolist(), strict=True)
+            pieces = tuple((Piece(mesh, mesh, 0.0, 1.0),) if stands else () for mesh, stands in still)
+        return replace(
+            self,
+            status=torch.where(at, int(Status.VALID), self.status),
+            reached=torch.where(at, 1.0, self.reached),
+            steps=self.steps + at,
+            ends=(torch.where(at, 1.0, torch.nan).to(self.reached),),
+            pieces=pieces,
+        )
+
     @property
     def going(self) -> Tensor:
         """(B,) bool: the mesh is under way."""
