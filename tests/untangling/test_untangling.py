@@ -15,7 +15,9 @@ from torchmesh.mesh.triangle import corners, signed_area
 from torchmesh.untangling.options import NewtonWays
 
 # All second-order ways, of which each gives up soon.
-FEW = NewtonWays((100,), pushes=8, alphas=(0.1,), steps_per_alpha=5, max_continuations=12)
+FEW = NewtonWays(
+    (100,), pushes=8, alphas=(0.1,), steps_per_alpha=5, max_continuations=12, weightings=((100, 1.0, 2.0),)
+)
 
 
 def assert_moved_only_what_is_free(before, after):
