@@ -11,8 +11,6 @@ from torchmesh.optimising.jacobian import target_of
 from torchmesh.optimising.levenberg import LevenbergOptions, push_areas
 from torchmesh.optimising.projected_newton import NewtonSystem, ProjectedOptions, minimise_by_projection
 
-pytestmark = pytest.mark.skipif(not library.built(), reason="the compiled loops were not built")
-
 ENERGIES = {"regularised": Regularised(0.3), "lifted": TotalLiftedContent(0.1)}
 
 

@@ -55,7 +55,6 @@ def test_pairs_are_before_and_after(made, paths):
     assert same(item.deformed, made.deformed.split()[8])
 
 
-@pytest.mark.skipif(torch.accelerator.is_available(), reason="pins in earnest")
 def test_a_loader_that_is_to_pin_goes_on_without_a_gpu_and_says_so(made, monkeypatch):
     # A pretended device that another test has named since is no accelerator to pin for.
     monkeypatch.setattr(torch.accelerator, "is_available", lambda: False)
@@ -64,8 +63,16 @@ def test_a_loader_that_is_to_pin_goes_on_without_a_gpu_and_says_so(made, monkeyp
         batches = list(loader)
     assert [len(batch) for batch in batches] == [4, 4, 2]
     assert same(tm.join(batches), made.deformed)
-    with pytest.raises(RuntimeError):
-        made.deformed.pin_memory()
+
+
+def test_pinning_itself_raises_the_error_of_torch_where_it_does_so_for_a_tensor(made):
+    try:
+        made.deformed.points.pin_memory()
+    except RuntimeError:
+        with pytest.raises(RuntimeError):
+            made.deformed.pin_memory()
+    else:
+        assert made.deformed.pin_memory().points.is_pinned()
 
 
 def test_a_loader_pins_the_tensors_of_pairs_and_items(made, monkeypatch):

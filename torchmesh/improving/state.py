@@ -238,11 +238,9 @@ class State:
         whole = self.vertex_names.vertex_map()
         if len(self) == len(self.origin.mesh):
             return whole
-        rows = self.of_given_vertices(torch.arange(len(self.origin.mesh.points), device=self.meshes.device))
-        place = torch.full((len(self.origin.mesh.points),), -1, device=rows.device)
-        place[rows] = torch.arange(len(rows), device=rows.device)
-        back = torch.where(whole.new_to_old >= 0, place[whole.new_to_old], -1)
-        return replace(whole, old_to_new=whole.old_to_new[rows], new_to_old=back, sources=place[whole.sources])
+        return whole.of_given(
+            self.of_given_vertices(torch.arange(len(self.origin.mesh.points), device=self.meshes.device))
+        )
 
     def of_given_vertices(self, rows: Tensor) -> Tensor:
         """Those of the rows (V, ...) over all the vertices given that belong to these meshes."""

@@ -50,6 +50,13 @@ class VertexMap:
             )  # fmt: skip
         return maps
 
+    def of_given(self, given: Tensor) -> "VertexMap":
+        """The map from some of the old vertices, the rows `given` (N,) int64, of which all the new ones come."""
+        place = torch.full_like(self.old_to_new, -1)
+        place[given] = torch.arange(len(given), device=given.device)
+        back = torch.where(self.new_to_old >= 0, place[self.new_to_old], -1)
+        return replace(self, old_to_new=self.old_to_new[given], new_to_old=back, sources=place[self.sources])
+
     def carry(self, field: Tensor) -> Tensor:
         """Values at the old vertices (V_old, ...) as values at the new ones (V_new, ...).
 

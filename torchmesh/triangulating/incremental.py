@@ -6,6 +6,10 @@ vertices is triangulated, inside a box; `inside` says which triangles are in the
 """
 
 from fractions import Fraction
+from typing import TypeVar
+
+# Signs are computed by floating point first, and by the same formula in exact numbers where that cannot decide.
+Number = TypeVar("Number", float, Fraction)
 
 _EPSILON = 2.0**-53
 _ORIENTATION_BOUND = (3 + 16 * _EPSILON) * _EPSILON
@@ -72,8 +76,8 @@ class Incremental:
         value = left - right
         if abs(value) > max((abs(left) + abs(right)) * _ORIENTATION_BOUND, _UNDERFLOW):
             return 1 if value > 0 else -1
-        ax, ay, bx, by, cx, cy = (Fraction(v) for v in (ax, ay, bx, by, px, py))  # type: ignore[assignment]
-        exact = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        u, v, w, z, x, y = (Fraction(number) for number in (ax, ay, bx, by, px, py))
+        exact = (w - u) * (y - v) - (z - v) * (x - u)
         return (exact > 0) - (exact < 0)
 
     def side_of(self, a: int, b: int, c: int) -> int:
@@ -87,7 +91,8 @@ class Incremental:
         value, magnitude = _incircle(*given, px, py)
         if abs(value) > max(magnitude * _INCIRCLE_BOUND, _UNDERFLOW):
             return value > 0
-        return _incircle(*(Fraction(v) for v in (*given, px, py)))[0] > 0  # type: ignore[arg-type]
+        exact = [Fraction(v) for v in (*given, px, py)]
+        return _incircle(*exact)[0] > 0
 
     def locate(self, px: float, py: float, start: int, blocked: bool) -> int:
         """A triangle that the point is in or on; -1 where the walk ends at a locked edge, or does not end."""
@@ -313,8 +318,8 @@ class Incremental:
 
 
 def _incircle(
-    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float
-) -> tuple[float, float]:
+    ax: Number, ay: Number, bx: Number, by: Number, cx: Number, cy: Number, dx: Number, dy: Number
+) -> tuple[Number, Number]:
     """The in-circle determinant, positive where d is inside the circle of abc, and the sum of its terms' sizes."""
     ax, ay, bx, by, cx, cy = ax - dx, ay - dy, bx - dx, by - dy, cx - dx, cy - dy
     bc_l, bc_r, ca_l, ca_r, ab_l, ab_r = bx * cy, by * cx, cx * ay, cy * ax, ax * by, ay * bx
