@@ -15,7 +15,12 @@ from torchmesh.errors import InvalidMeshError
 from torchmesh.mesh.batch import MeshBatch, join
 from torchmesh.mesh.interfaces import holding
 from torchmesh.untangling import cavity as cavity_module
-from torchmesh.untangling.retriangulation import retriangulate, untangle_by_retriangulation
+from torchmesh.untangling.retriangulation import (
+    _corners_in_regions,
+    _with_ring,
+    retriangulate,
+    untangle_by_retriangulation,
+)
 
 HOW = ["kept", "shuffled", "outside", "one point", "on one boundary vertex", "on a line"]
 
@@ -401,6 +406,19 @@ def test_boundaries_that_touch_themselves(seed):
         assert result.ok, result.reason
         assert inverted(mesh) > 0
         assert_every_row_stays(mesh, result.mesh)
+
+
+def test_a_cavity_grows_within_its_region_only():
+    rng = np.random.default_rng(3)
+    grown = 0
+    for _ in range(50):
+        triangles, region = rng.integers(0, 40, (60, 3)), rng.integers(0, rng.integers(1, 6), 60)
+        wanted = rng.random(60) < 0.1
+        keys = triangles * 10 + region[:, None]
+        expected = np.isin(keys, keys[wanted]).any(1)
+        assert np.array_equal(_with_ring(_corners_in_regions(triangles, region), wanted), expected)
+        grown += int(expected.sum() - wanted.sum())
+    assert grown > 100
 
 
 def test_constrained_edges_beside_a_crack_survive():

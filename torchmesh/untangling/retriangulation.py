@@ -29,9 +29,6 @@ from ..triangulating.touching import plane_boundary
 from .cavity import Cavity
 from .repair_check import why_not_certified
 
-# Tables of marks have at most so many entries for each triangle.
-_KEYS_A_TRIANGLE = 16
-
 
 @dataclass(frozen=True, eq=False)
 class Retriangulation:
@@ -202,11 +199,14 @@ class _Work:
         size = np.bincount(region)
         wanted = signs(self.points, *self.triangles.T) <= 0
         reasons = []
-        attempt = 0
+        attempt = made = 0
+        corners = _corners_in_regions(self.triangles, region)
         while wanted.any():
+            if made != self.cavities:
+                corners, made = _corners_in_regions(self.triangles, region), self.cavities
             # Rings cost more the more there are, and a cavity that is slightly too large does no harm.
             for _ in range(1 + attempt // 3):
-                wanted = _with_ring(self.triangles, region, wanted)
+                wanted = _with_ring(corners, wanted)
             for rows, outer in sorted(self.components(wanted), key=lambda component: len(component[0])):
                 reason = self.rebuild(rows, outer)
                 final = bool(reason) and (len(rows) == size[region[rows[0]]] or self._crosses_itself(rows, outer))
@@ -328,20 +328,30 @@ def _edges_of(ends: np.ndarray) -> np.ndarray:
     return np.unique(np.sort(ends, 1), axis=0) if len(ends) else ends
 
 
-def _with_ring(triangles: np.ndarray, region: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """`wanted` (T,) bool and the triangles of the same region that share a vertex with them."""
-    if region.any():
-        # A vertex has a key in each region.  Where these are few, looking them up takes less than sorting them.
-        keys = triangles * (region.max() + 1) + region[:, None]
-        if int(keys.max()) < _KEYS_A_TRIANGLE * len(keys):
-            near = np.zeros(int(keys.max()) + 1, bool)
-            near[keys[wanted]] = True
-            return np.asarray(near[keys].any(1))
-        return np.asarray(among(keys, keys[wanted]).any(1))
-    corners = [np.ascontiguousarray(v) for v in triangles.T]
-    mark = np.zeros(int(triangles.max(initial=0)) + 1, bool)
-    mark[triangles[np.flatnonzero(wanted)]] = True
-    return np.asarray(mark[corners[0]] | mark[corners[1]] | mark[corners[2]])
+def _corners_in_regions(triangles: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """(T, 3) numbers of the corners of the `triangles`, equal where vertex and region (T,) are.
+
+    They are the vertices; a vertex that several regions share has another number in each of them.
+    """
+    if not region.any():
+        return triangles
+    count = int(triangles.max()) + 1
+    last = np.zeros(count, np.int64)
+    last[triangles] = region[:, None]
+    elsewhere = last[triangles] != region[:, None]
+    shared = np.zeros(count, bool)
+    shared[triangles[elsewhere]] = True
+    here = shared[triangles]
+    corners = triangles.copy()
+    keys = (triangles * (int(region.max()) + 1) + region[:, None])[here]
+    corners[here] = count + np.searchsorted(distinct(keys), keys)
+    return corners
+
+
+def _with_ring(corners: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """`wanted` (T,) bool and the triangles that share one of the `corners` of `_corners_in_regions` with them."""
+    rows, these = torch.from_numpy(corners), torch.from_numpy(wanted)
+    return touching(rows, corners_of(rows, these, int(corners.max(initial=-1)) + 1)).numpy()
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:
