@@ -14,11 +14,14 @@ turns by 60 to 180 degrees, and bent domains.  All begin at the uniform Laplacia
 mesh they come from as rest shapes.  Exact signs decide what is valid.  Seconds are of processor time, one thread;
 a program that takes more than `--limit` seconds is ended.
 
-Each case and method is one line of compiled_peers.jsonl; a run that was stopped goes on where it was.
+Each case and method is one line of compiled_peers.jsonl; a run that was stopped goes on where it was.  With `--readme`
+the table is written into the README, with the day, the processor and the versions.
 """
 
 from __future__ import annotations
 
+import argparse
+import datetime
 import json
 import os
 import resource
@@ -36,9 +39,13 @@ import torchmesh as tm
 from experiments.robustness.kept_triangles import hard
 from experiments.shared import arguments, feasible, tables
 from experiments.shared.tangles import tangle
+from experiments.speed import readme
 from torchmesh.bench import exact_check
+from torchmesh.bench.provenance import provenance
 
 Array = np.ndarray
+# This script, as the README's mark names it.
+WRITER = "experiments/robustness/compiled_peers.py"
 # Those of the authors' example, which ends as soon as no triangle is inverted.
 OPTIONS = """form\nTutte\nalphaRatio\n1e-6\nalpha\n-1\nftol_abs\n1e-8\nftol_rel\n1e-8\nxtol_abs\n1e-8\nxtol_rel\n1e-8
 algorithm\nLBFGS\nmaxeval\n10000\nstopCode\nall_good\nrecord\nvert\t0\nenergy\t0\nminArea\t0
@@ -119,6 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--foldover", help="the program untangle2d")
     parser.add_argument("--lifted", help="the program findInjective")
     parser.add_argument("--limit", type=float, default=60.0, help="seconds that a program may take")
+    parser.add_argument("--readme", action="store_true", help="write the table into the README")
     arguments.add_sizes(parser, 2000, 10000)
     arguments.add_cache(parser)
     arguments.add_out(parser, "compiled_peers")
@@ -155,8 +163,27 @@ def main(argv: Sequence[str] | None = None) -> int:
                     rows.append(row)
                     out.write(json.dumps(row) + "\n")
                     out.flush()
+    rows = [row for row in rows if row["method"] in methods and row["triangles"] in given.triangles]
     print(table_of(rows))
+    if given.readme:
+        text = readme.written(readme.README.read_text(encoding="utf-8"), "peers", for_the_readme(rows, given), WRITER)
+        readme.README.write_text(text, encoding="utf-8")
     return 0
+
+
+def for_the_readme(rows: list[dict], given: argparse.Namespace) -> str:
+    """The table, and above it the command and what it ran on."""
+    note = provenance()
+    versions = ", ".join(f"{name} {note['versions'][name]}" for name in ("python", "torchmesh-untangle", "torch"))
+    peers = "".join(f" --{name} PROGRAM" for name in ("foldover", "lifted") if getattr(given, name))
+    count = len({row["case"] for row in rows}) // len(given.triangles)
+    day, limit = datetime.date.today().isoformat(), f"{given.limit:g}"
+    return (
+        f"With the triangles kept, `python -m experiments.robustness.compiled_peers{peers} --limit {limit}` on\n"
+        f"{day}, commit {note['commit'] or 'unknown'}, {note['processor']}, {versions}, {note['kernels']} loops:\n"
+        f"{count} maps and turned rings of each size, beside the authors' C++ (g++ -O3). Seconds of processor time on\n"
+        f"one thread, at most {limit} for a program.\n\n{table_of(rows)}"
+    )
 
 
 def table_of(rows: list[dict]) -> str:

@@ -54,9 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def written(text: str, part: str, lines: str) -> str:
-    """The page with other lines in one of its parts; raises ValueError if it has no such part."""
-    begin = f"<!-- written by experiments/speed/readme.py: {part} -->\n"
+def written(text: str, part: str, lines: str, by: str = "experiments/speed/readme.py") -> str:
+    """The page with other lines in one of its parts, `by` a script; raises ValueError if it has no such part."""
+    begin = f"<!-- written by {by}: {part} -->\n"
     found = re.compile(re.escape(begin) + r".*?(?=<!-- end -->)", re.DOTALL)
     if not found.search(text):
         raise ValueError(f"the README has no part {part!r}")

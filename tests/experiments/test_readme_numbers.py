@@ -1,9 +1,11 @@
 """The run of the README's numbers: what it writes, and how it is seen that they are stale."""
 
 import json
+from argparse import Namespace
 
 import pytest
 
+from experiments.robustness import compiled_peers
 from experiments.speed import readme
 
 PAGE = """before
@@ -29,6 +31,25 @@ def test_the_readme_has_the_parts_that_a_run_writes():
     text = readme.README.read_text(encoding="utf-8")
     for part in ("run", "reproduction", "comparison"):
         assert readme.written(text, part, "x") != text
+    assert readme.written(text, "peers", "x", compiled_peers.WRITER) != text
+
+
+def test_the_table_of_compiled_peers_says_what_it_ran_on_and_counts_each_method_by_size():
+    rows = [
+        {"case": f"{n}-{k}", "triangles": n, "method": method, "valid": valid, "seconds": seconds}
+        for n in (20, 40)
+        for k in range(3)
+        for method, valid, seconds in (
+            ("torchmesh, untangle", True, 0.25),
+            ("foldover-free maps (C++)", k > 0, 1.0 * k),
+        )
+    ]
+    given = Namespace(foldover="untangle2d", lifted=None, limit=30.0, triangles=[20, 40])
+    text = compiled_peers.for_the_readme(rows, given)
+    assert "compiled_peers --foldover PROGRAM --limit 30`" in text
+    assert "3 maps and turned rings of each size" in text
+    assert readme.about_this_run()["processor"] in text
+    assert "| foldover-free maps (C++) | 2 of 3 | 1.00 | 2.0 | 2 of 3 | 1.00 | 2.0 |" in text
 
 
 def test_numbers_are_stale_when_the_code_has_changed_or_no_run_is_noted(tmp_path, monkeypatch, capsys):

@@ -1,18 +1,21 @@
 r"""A few flips after which a mesh can be untangled with its triangles kept, where without any it was not.
 
-       c              c         Inverted triangles are flipped with those neighbours with which both become least
-      / \            /|\        inverted.  Areas are pushed up (`persisting`), and again, until no triangle is inverted.
-     a---b    -->   a | b       Where that gains nothing, edges of inverted triangles are flipped one at a time for a
-      \ /            \|/        trial, areas are pushed, and the best flip is kept.  Then flips are taken back, half of
-       d              d         them, a quarter and so on, one by one in the end, as long as pushing areas suffices.
+       c              c         Edges are flipped where that lowers what areas lack to a bound, and areas are pushed up
+      / \            /|\        (`persisting.pushed`), and again, until no triangle is inverted.  Where that gains
+     a---b    -->   a | b       nothing, edges of inverted triangles are flipped one at a time for a trial, areas are
+      \ /            \|/        pushed, and the best flip is kept.  Then flips are taken back, half of them, a quarter
+       d              d         and so on, one by one in the end, as long as pushing areas suffices.
 
-What is left is enough; nothing says that fewer would not be.  Where no flips are found, cavities are triangulated anew.
+All of that is done several times, with few flips a round and with many, and the shortest list of flips is told.  It is
+enough; nothing says that fewer would not be.  Where no flips are found, cavities are triangulated anew.
 """
 
-from dataclasses import dataclass, field
+import math
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
@@ -20,35 +23,68 @@ from ..mesh.interfaces import holding
 from ..mesh.measure import upright
 from .options import NewtonWays
 from .persisting import pushed, sizes_to_push
+from .wiring import Edge, Wiring, backwards, costs, edges_of, flip_apart, offers, way_between
 
-Edge = tuple[int, int]
+__all__ = ["EnoughFlips", "FlipSearch", "enough_flips"]
+
+
+@dataclass(frozen=True)
+class Descent:
+    """How flips are chosen that lower what areas lack.
+
+    part    of all edges whose flip does so, so many are flipped before areas are pushed again, the best ones
+    every   edges of all triangles below the bound are looked at, not those of inverted triangles alone
+    anew    from the Tutte embedding on, not from where the mesh is
+    rounds  of growing weights at most, each time that areas are pushed
+    """
+
+    part: float = 1.0
+    every: bool = False
+    anew: bool = False
+    rounds: int = 1
 
 
 @dataclass(frozen=True)
 class FlipSearch:
     """How long `enough_flips` looks.
 
-    rounds  of flips that lower the inverted area, and of pushing areas, at most
-    trials  single flips that are tried at most, twice, for a mesh of up to `size` triangles; for a larger one fewer
-    width   flips of which the best is kept; one that leaves fewer inverted triangles is kept at once
-    patience  flips without fewer inverted triangles than ever before, after which the search ends
-    tabu    so many of the last edges that came by a flip are not flipped
-    back    takings back of flips that are tried at most, in the same way
-    size    see there
-    near    meshes with more inverted triangles than this are left to re-triangulation, those with more than half of it
-            after the first of both times
-    ways    how areas are pushed
+    descents  tried one after the other; of meshes of more than `size` triangles fewer, but two
+    few       so few flips are good enough for no other descent to be tried
+    best      lists of flips, the shortest ones, from which flips are taken back
+    rounds    of flips and of pushing areas in a descent, at most
+    quiet     rounds without fewer inverted triangles than ever before, after which a descent ends
+    trials    single flips that are tried at most after a descent, for a mesh of up to `size` triangles; for a larger
+              one fewer
+    width     flips of which the best is kept; one that leaves fewer inverted triangles is kept at once
+    patience  flips without fewer inverted triangles than ever before, after which these trials end
+    tabu      so many of the last edges that came by a flip are not flipped
+    near      single flips are tried only if no more triangles than this are inverted after a descent
+    back      takings back of flips that are tried at most from one list, in the same way
+    shortened  other ways to the same triangles are looked for if a list has no more flips than this
+    size      see there
+    ways      how areas are pushed
     """
 
-    rounds: int = 20
+    descents: tuple[Descent, ...] = (
+        Descent(0.25),
+        Descent(),
+        Descent(every=True, anew=True),
+        Descent(rounds=6),
+        Descent(0.25, every=True, anew=True),
+    )
+    few: int = 3
+    best: int = 2
+    rounds: int = 40
+    quiet: int = 12
     trials: int = 40
     width: int = 6
     patience: int = 8
     tabu: int = 8
     near: int = 40
-    back: int = 40
+    back: int = 150
+    shortened: int = 700
     size: int = 300
-    ways: NewtonWays = field(default_factory=lambda: NewtonWays(betas=(0.1,), pushes=40))
+    ways: NewtonWays = field(default_factory=lambda: NewtonWays(betas=(0.1,), pushes=20, weightings=((100, 0.1, 3.0),)))
 
 
 @dataclass(frozen=True)
@@ -68,11 +104,11 @@ class EnoughFlips:
     def text(self, most: int = 8) -> str:
         """The same in words, with up to so many edges named."""
         if self.edges is None:
-            return f"with {self.replaced} other edges it is possible (cavities were triangulated anew; fewer may do)"
+            return f"with {self.replaced} other edges it is possible (cavities were triangulated anew; an upper bound)"
         named = ", ".join(f"{a}-{b}" for a, b in self.edges[:most])
         more = f" and {len(self.edges) - most} more" if len(self.edges) > most else ""
         count = "1 flip is" if len(self.edges) == 1 else f"{len(self.edges)} flips are"
-        return f"{count} enough to make it possible: {named}{more} (found by trial; fewer may do)"
+        return f"{count} enough to make it possible: {named}{more} (the fewest that were found, an upper bound)"
 
 
 def enough_flips(mesh: MeshBatch, options: FlipSearch | None = None) -> EnoughFlips | None:
@@ -87,189 +123,167 @@ def enough_flips(mesh: MeshBatch, options: FlipSearch | None = None) -> EnoughFl
     held = holding(mesh).to("cpu")
     search = _Search(held, options or FlipSearch())
     found = search.found()
-    if found:
-        search.take_back()
-        done = held.with_triangles(search.wired(search.flips).triangles()).with_points(search.points)
-    else:
+    if found.inverted:
         from .retriangulation import retriangulate_cavities
 
-        done, _ = retriangulate_cavities(held.with_points(search.points))
+        done, _ = retriangulate_cavities(held.with_points(search.start.points))
         if not bool(upright(done).all()):
             return None
-    edges, others = ({frozenset(edge) for face in m.triangles.tolist() for edge in _edges(face)} for m in (held, done))
+    else:
+        done = held.with_triangles(search.wired(found.flips).triangles()).with_points(found.points)
+    edges, others = (
+        {frozenset(edge) for face in m.triangles.tolist() for edge in edges_of(face)} for m in (held, done)
+    )
     whole = mesh.with_triangles(done.triangles.to(mesh.triangles)).with_points(done.points.to(mesh.points))
-    return EnoughFlips(whole, tuple(search.flips) if found else None, len(edges - others))
+    return EnoughFlips(whole, None if found.inverted else found.flips, len(edges - others))
 
 
-class _Wiring:
-    """The triangles of one mesh, flipped edge by edge; rows stay."""
+@dataclass(frozen=True)
+class _State:
+    """Flips of one mesh, the positions (V, 2) that areas were pushed to after them, and what is inverted there.
 
-    def __init__(self, mesh: MeshBatch) -> None:
-        self.faces = mesh.triangles.tolist()
-        self.row = {edge: row for row, face in enumerate(self.faces) for edge in _edges(face)}
-        self.stay = {frozenset(edge) for edge in mesh.constrained_edges.tolist()}
+    lack  the sum of negative areas, as `pushed` tells it
+    """
 
-    def across(self, a: int, b: int) -> Edge | None:
-        """The corners left and right of the edge from a to b, if it can be flipped."""
-        one, other = self.row.get((a, b)), self.row.get((b, a))
-        if one is None or other is None or {a, b} in self.stay:
-            return None
-        c, d = (next(v for v in self.faces[row] if v not in (a, b)) for row in (one, other))
-        return None if c == d or (c, d) in self.row or (d, c) in self.row else (c, d)
+    flips: tuple[Edge, ...]
+    points: Tensor
+    inverted: int
+    lack: float = float("inf")
 
-    def flip(self, a: int, b: int) -> bool:
-        """Flip the edge, if that can be."""
-        ends = self.across(a, b)
-        if ends is None:
-            return False
-        c, d = ends
-        one, other = self.row.pop((a, b)), self.row.pop((b, a))
-        for row, face in ((one, [a, d, c]), (other, [d, b, c])):
-            self.faces[row] = face
-            self.row.update(dict.fromkeys(_edges(face), row))
-        return True
-
-    def triangles(self) -> Tensor:
-        return torch.tensor(self.faces, dtype=torch.int64)
-
-
-def _edges(face: list[int]) -> tuple[Edge, Edge, Edge]:
-    a, b, c = face
-    return (a, b), (b, c), (c, a)
+    @property
+    def rank(self) -> tuple[int, float]:
+        return self.inverted, self.lack
 
 
 class _Search:
-    """Flips of one mesh, and the positions (V, 2) that areas were pushed to after them."""
+    """The search for flips of one mesh; `start` has none."""
 
     def __init__(self, mesh: MeshBatch, options: FlipSearch) -> None:
         self.mesh, self.options = mesh, options
-        self.flips: list[Edge] = []
-        self.points, self.inverted = mesh.points, int((~upright(mesh)).sum())
-        self.lack = float("inf")
-        self.fewer_trials = max(1.0, len(mesh.triangles) / options.size)
+        self.wiring = Wiring(mesh)
         self.size = sizes_to_push(mesh, options.ways)
-        self.take(self.flips, *pushed(mesh, options.ways, self.size))
+        self.order = list[np.ndarray]()
+        fewer = max(1.0, len(mesh.triangles) / options.size)
+        self.descents = options.descents[: max(2, math.ceil(len(options.descents) / fewer))]
+        self.trials, self.back = int(options.trials / fewer), max(8, int(options.back / fewer))
+        self.start = self.anew = _State((), mesh.points, int((~upright(mesh)).sum()))
+        if self.start.inverted:
+            self.anew = self.pushed((), self.wiring, None, 1)
+            self.start = min(self.start, self.anew, key=lambda s: s.rank)
 
-    def take(self, flips: list[Edge], points: Tensor, inverted: int, lack: float) -> bool:
-        """Go on with these if they are better."""
-        if (inverted, lack) > (self.inverted, self.lack):
-            return False
-        self.flips, self.points, self.inverted, self.lack = flips, points, inverted, lack
-        return True
-
-    def wired(self, flips: list[Edge]) -> _Wiring:
-        wiring = _Wiring(self.mesh)
+    def wired(self, flips: tuple[Edge, ...]) -> Wiring:
+        wiring = self.wiring.copy()
         for edge in flips:
             wiring.flip(*edge)
         return wiring
 
-    def pushed(self, wiring: _Wiring) -> tuple[Tensor, int, float]:
-        return pushed(self.mesh.with_triangles(wiring.triangles()), self.options.ways, self.size, self.points)
+    def pushed(self, flips: tuple[Edge, ...], wiring: Wiring, points: Tensor | None, rounds: int) -> _State:
+        """What pushing areas from `points` leads to, with these flips, which lead to that wiring."""
+        ways = replace(self.options.ways, weight_rounds=rounds)
+        return _State(flips, *pushed(self.mesh.with_triangles(wiring.triangles()), ways, self.size, points, self.order))
 
-    def found(self) -> bool:
-        """Look until no triangle is inverted; is none?"""
+    def found(self) -> _State:
+        """The shortest list of flips that was found; if none was, some triangle is inverted."""
+        some = list[_State]()
+        for descent in self.descents if self.start.inverted else ():
+            state = self.descended(descent)
+            if 0 < state.inverted <= self.options.near:
+                state = self.tried(state)
+            if not state.inverted:
+                some.append(self.shortened(state))
+                if len(some[-1].flips) <= self.options.few:
+                    break
+        some.sort(key=lambda state: len(state.flips))
+        some = [self.taken_back(state) for state in some[: self.options.best]]
+        return min(some, key=lambda state: len(state.flips)) if some else self.start
+
+    def descended(self, descent: Descent) -> _State:
+        """Flip and push until no triangle is inverted, or nothing is gained."""
+        state, best = self.anew if descent.anew else self.start, None
+        wiring, quiet = self.wiring.copy(), 0
+        size, least = self.size.numpy(), min(self.options.ways.betas)
         for _ in range(self.options.rounds):
-            if not self.inverted:
-                return True
-            wiring = self.wired(self.flips)
-            less = _lowering(wiring, self.points.double().numpy())
-            if not less or not self.take(self.flips + less, *self.pushed(wiring)):
+            if not state.inverted or quiet >= self.options.quiet:
                 break
-        first = self.flips, self.points, self.inverted, self.lack
-        for stay, most in ((False, self.options.near), (True, self.options.near // 2)):
-            if 0 < first[2] <= most and self.inverted:
-                self.flips, self.points, self.inverted, self.lack = first
-                self.tried(stay)
-        return not self.inverted
+            points = state.points.double().numpy()
+            for every in (descent.every, True):
+                edges = [edge for added, edge in offers(wiring, points, size, least, every) if added < 0]
+                if edges:
+                    break
+            else:
+                break
+            made = flip_apart(wiring, edges, math.ceil(descent.part * len(edges)))
+            state = self.pushed((*state.flips, *made), wiring, state.points, descent.rounds)
+            quiet = 0 if best is None or state.inverted < best.inverted else quiet + 1
+            best = state if best is None else min(best, state, key=lambda s: s.rank)
+        return best or state
 
-    def tried(self, stay: bool) -> None:
-        """Try single flips, and go on with the best of them even if it is worse than what was (tabu search).
-
-        stay  vertices stay where pushing areas leaves more inverted triangles
-        """
-        left = int(self.options.trials / self.fewer_trials)
-        made, fewest, quiet = list[frozenset[int]](), self.inverted, 0
-        while self.inverted and left > 0 and quiet < self.options.patience:
-            wiring = self.wired(self.flips)
-            offers = _near(wiring, self.points.double().numpy())
-            fresh = [edge for edge in offers if frozenset(edge) not in made[-self.options.tabu :]]
-            fresh = (fresh or offers)[: min(left, self.options.width)]
+    def tried(self, state: _State) -> _State:
+        """Try single flips, and go on with the best of them even if it is worse than what was (tabu search)."""
+        options, left = self.options, self.trials
+        made, fewest, quiet = list[frozenset[int]](), state.inverted, 0
+        while state.inverted and left > 0 and quiet < options.patience:
+            wiring = self.wired(state.flips)
+            points = state.points.double().numpy()
+            edges = [edge for _, edge in offers(wiring, points, self.size.numpy(), min(options.ways.betas), False)]
+            fresh = [edge for edge in edges if frozenset(edge) not in made[-options.tabu :]]
+            fresh = (fresh or edges)[: min(left, options.width)]
             if not fresh:
                 break
-            flips, points, before = self.flips, self.points, self.inverted
-            self.inverted, self.lack = len(wiring.faces) + 1, float("inf")
+            tries = list[tuple[_State, frozenset[int]]]()
             for edge in fresh:
-                wiring = self.wired(flips)
-                ends = wiring.across(*edge)
-                wiring.flip(*edge)
+                wired = wiring.copy()
+                ends = wired.across(*edge)
+                wired.flip(*edge)
                 left -= 1
-                turned = self.mesh.with_triangles(wiring.triangles()).with_points(points)
-                tried = pushed(turned, self.options.ways, self.size, points)
-                if stay:
-                    tried = min(tried, (points, int((~upright(turned)).sum()), float("inf")), key=lambda t: t[1:])
-                if self.take([*flips, edge], *tried):
-                    last = frozenset(ends or ())
-                if self.inverted < before:
+                tries.append((self.pushed((*state.flips, edge), wired, state.points, 1), frozenset(ends or ())))
+                if tries[-1][0].inverted < state.inverted:
                     break
+            state, last = min(tries, key=lambda t: t[0].rank)
             made.append(last)
-            quiet = 0 if self.inverted < fewest else quiet + 1
-            fewest = min(fewest, self.inverted)
+            quiet = 0 if state.inverted < fewest else quiet + 1
+            fewest = min(fewest, state.inverted)
+        return state
 
-    def take_back(self) -> None:
-        """Take back flips as long as pushing areas suffices."""
-        left = max(4, int(self.options.back / self.fewer_trials))
-        part = max(1, len(self.flips) // 2)
-        while left > 0 and self.flips:
-            first = 0
-            while first < len(self.flips) and left > 0:
-                wiring = _Wiring(self.mesh)
-                flips = [e for e in self.flips[:first] + self.flips[first + part :] if wiring.flip(*e)]
-                points, inverted, _ = self.pushed(wiring)
-                left -= 1
-                if inverted:
-                    first += part
-                else:
-                    self.flips, self.points = flips, points
-            if part == 1:
-                break
-            part //= 2
+    def taken_back(self, state: _State) -> _State:
+        """Take back flips as long as pushing areas suffices: several together, and one by one in the end.
 
+        Those come first that add least to what areas lack; those that could not be taken back singly come last, once.
+        """
+        left, part, first = self.back, max(1, len(state.flips) // 4), 0
+        stay = defaultdict[Edge, int](int)
+        order = self.in_order(state, stay)
+        while first < len(order) and left > 0:
+            wiring, left = self.wiring.copy(), left - 1
+            out = set(order[first : first + part])
+            flips = tuple(e for k, e in enumerate(state.flips) if k not in out and wiring.flip(*e))
+            less = self.pushed(flips, wiring, state.points, 1)
+            if not less.inverted:
+                state, first = less, 0
+                order = self.in_order(state, stay)
+                part = min(part, max(1, len(order) // 4))
+            elif part > 1:
+                part //= 2
+            else:
+                stay[state.flips[order[first]]] += 1
+                first += 1
+        return self.shortened(state)
 
-def _lowering(wiring: _Wiring, points: np.ndarray) -> list[Edge]:
-    """Flip edges of inverted triangles that share no triangle, where that lowers the inverted area; those flipped."""
-    offers = [offer for offer in _offers(wiring, points) if offer[0] < 0]
-    taken: set[int] = set()
-    made: list[Edge] = []
-    for _, (a, b) in sorted(offers):
-        rows = {wiring.row.get((a, b), -1), wiring.row.get((b, a), -1)}
-        if -1 not in rows and not rows & taken and wiring.flip(a, b):
-            made.append((a, b))
-            taken |= rows
-    return made
+    def shortened(self, state: _State) -> _State:
+        """The same triangles by fewer flips, if such are found: the search may have gone ways round."""
+        if len(state.flips) > self.options.shortened:
+            return state
+        end = self.wired(state.flips)
+        ways = [way_between(self.wiring, end), backwards(end, way_between(end, self.wiring))]
+        return replace(state, flips=min([state.flips, *(tuple(way) for way in ways if way is not None)], key=len))
 
-
-def _near(wiring: _Wiring, points: np.ndarray) -> list[Edge]:
-    """The edges of inverted triangles that can be flipped, those first that add least inverted area."""
-    return [edge for _, edge in sorted(_offers(wiring, points))]
-
-
-def _offers(wiring: _Wiring, points: np.ndarray) -> list[tuple[float, Edge]]:
-    """The edges of inverted triangles that can be flipped, and how much inverted area that adds."""
-    faces = np.array(wiring.faces)
-    inverted = np.flatnonzero(_areas(points, faces) <= 0)
-    edges = {tuple(sorted(edge)) for row in inverted.tolist() for edge in _edges(wiring.faces[row])}
-    offers = []
-    for a, b in sorted(edges):
-        ends = wiring.across(a, b)
-        if ends is not None:
-            c, d = ends
-            around = np.array([[a, b, c], [b, a, d], [a, d, c], [d, b, c]])
-            lack = np.minimum(_areas(points, around), 0.0)
-            offers.append((float(lack[:2].sum() - lack[2:].sum()), (a, b)))
-    return offers
-
-
-def _areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = points[faces].transpose(1, 0, 2)
-    area: np.ndarray = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return area
+    def in_order(self, state: _State, stay: Mapping[Edge, int]) -> list[int]:
+        """The flips, those first that are `stay` least and whose taking back adds least to what areas lack."""
+        wiring, ends = self.wiring.copy(), list[Edge]()
+        for edge in state.flips:
+            ends.append(wiring.across(*edge) or edge)
+            wiring.flip(*edge)
+        least = min(self.options.ways.betas)
+        added = costs(wiring, ends, state.points.double().numpy(), self.size.numpy(), least)
+        back = [(stay[edge], added[k], k) for k, edge in enumerate(state.flips)]
+        return [k for _, _, k in sorted(back)]

@@ -18,6 +18,7 @@ valid ends the work; otherwise the positions with the fewest inverted triangles 
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -157,26 +158,49 @@ def sizes_to_push(mesh: MeshBatch, options: NewtonWays) -> Tensor:
 
 
 def pushed(
-    mesh: MeshBatch, options: NewtonWays, size: Tensor, start: Tensor | None = None
+    mesh: MeshBatch,
+    options: NewtonWays,
+    size: Tensor,
+    start: Tensor | None = None,
+    order: list[np.ndarray] | None = None,
 ) -> tuple[Tensor, int, float]:
-    """Push the areas of one mesh, whose vertices are free unless fixed, from the positions `start` (V, 2).
+    """Push the areas of one mesh from the positions `start` (V, 2), in rounds with growing weights.
 
-    size   (V,) of the triangles around each vertex
-    start  None: the Tutte embedding
+    options  its least bound, its `pushes` a round, and the rounds, the factor of the first of `weightings` and the
+             decay of weights.  Three rounds without fewer inverted triangles than ever before are the last
+    size     (V,) of the triangles around each vertex
+    start    None: the Tutte embedding
+    order    holds the order of unknowns of a mesh that some flips lead to this one, or nothing: then it is put in
 
-    Returns positions, the number of inverted triangles there, and the sum of their negative areas, as a positive number
-    in units of the mean area.
+    Returns the positions with the fewest inverted triangles, the number of those, and the sum of their negative areas,
+    as a positive number in units of the mean area.
     """
     free = ~mesh.fixed
     start = (_embedded(mesh, free) if start is None else start).to(torch.float64)
     centre, unit = centre_and_unit(start, mesh.point_offsets)
     target = ideal(mesh, size[mesh.triangles].mean(1) / unit)
-    scaled = (start - centre) / unit
-    system = NewtonSystem(scaled, mesh.triangles, free, target)
-    found = push_areas(system, scaled, min(options.betas), LevenbergOptions(max_iterations=options.pushes))
-    points = torch.where(free[:, None], found.points * unit + centre, start).to(mesh.points)
-    lack = float((-found.det).clamp_min(0).sum())
-    return points, int((~upright(mesh.with_points(points))).sum()), lack
+    points = best = (start - centre) / unit
+    system = NewtonSystem(points, mesh.triangles, free, target)
+    if order is not None:
+        if not order:
+            order.append(system.number)
+        # A few flips hardly change how full the factors are; the order of another mesh is right, if not the best.
+        system.number = order[0]
+    settings = LevenbergOptions(max_iterations=options.pushes)
+    factor = options.weightings[0][2] if options.weightings else 1.0
+    fewest, lack, quiet = len(mesh.triangles) + 1, float("inf"), 0
+    for _ in range(options.weight_rounds):
+        found = push_areas(system, points, min(options.betas), settings)
+        points, inverted = found.points, found.det <= 0
+        count = int(inverted.sum())
+        quiet = 0 if count < fewest else quiet + 1
+        if count < fewest:
+            best, fewest, lack = points, count, float((-found.det).clamp_min(0).sum())
+        if not count or quiet >= 3:
+            break
+        system.weight = _heavier(system.weight, inverted, factor, options.weight_decay)
+    there = torch.where(free[:, None], best * unit + centre, start).to(mesh.points)
+    return there, int((~upright(mesh.with_points(there))).sum()), lack
 
 
 def _embedded(mesh: MeshBatch, free: Tensor) -> Tensor:
@@ -212,10 +236,15 @@ def _weighted(task: _Task, points: Tensor, sweeps: int, least: float, factor: fl
         task.best.iterations += found.iterations
         if not bool(inverted.any()):
             break
-        weight = weight.pow(options.weight_decay) * torch.where(inverted, factor, 1.0)
-        weight = weight / weight.mean()
+        weight = _heavier(weight, inverted, factor, options.weight_decay)
     system.weight = even
     return task.give(points)
+
+
+def _heavier(weight: Tensor, inverted: Tensor, factor: float, decay: float) -> Tensor:
+    """(T,) the weights of the next round, one on average."""
+    weight = weight.pow(decay) * torch.where(inverted, factor, 1.0)
+    return weight / weight.mean()
 
 
 def _regularised(task: _Task, points: Tensor, sweeps: int) -> bool:
