@@ -51,6 +51,7 @@ class FlipSearch:
     descents  tried one after the other; of meshes of more than `size` triangles fewer, but two
     few       so few flips are good enough for no other descent to be tried
     best      lists of flips, the shortest ones, from which flips are taken back
+    longer    of these, lists that are so many times as long as the shortest are left out
     rounds    of flips and of pushing areas in a descent, at most
     quiet     rounds without fewer inverted triangles than ever before, after which a descent ends
     trials    single flips that are tried at most after a descent, for a mesh of up to `size` triangles; for a larger
@@ -74,6 +75,7 @@ class FlipSearch:
     )
     few: int = 3
     best: int = 2
+    longer: float = 1.5
     rounds: int = 40
     quiet: int = 12
     trials: int = 40
@@ -194,7 +196,8 @@ class _Search:
                 if len(some[-1].flips) <= self.options.few:
                     break
         some.sort(key=lambda state: len(state.flips))
-        some = [self.taken_back(state) for state in some[: self.options.best]]
+        near = [state for state in some if len(state.flips) <= self.options.longer * len(some[0].flips)]
+        some = [self.taken_back(state) for state in near[: self.options.best]]
         return min(some, key=lambda state: len(state.flips)) if some else self.start
 
     def descended(self, descent: Descent) -> _State:
