@@ -45,6 +45,9 @@ class DeformOptions:
                    `improve` says the same
     path           "auto": a boundary loop whose motion is rigid, or nearly so, turns steadily about its moving centre,
                    and everything else goes straight; "straight": every vertex goes straight
+    stiffening     the interior follows the boundary with stiffnesses that are proportional to this power of one over a
+                   triangle's area.  With 1 small triangles go along with the walls at which they lie, and steps are
+                   longer; 0 is FEMWARP
     part           the part of the largest step without inversion that is taken, in (0, 1)
     smallest_step  a mesh is stuck when its next step would be a smaller part of the motion than this
     max_steps      the greatest number of steps
@@ -64,6 +67,7 @@ class DeformOptions:
 
     topology: Literal["keep", "flip"] = "flip"
     path: Literal["auto", "straight"] = "auto"
+    stiffening: float = 1.0
     part: float = 0.7
     smallest_step: float = 1e-4
     max_steps: int = 1000
@@ -87,6 +91,8 @@ class DeformOptions:
         for name in ("part", "smallest_step"):
             if not 0 < getattr(self, name) < 1:
                 raise ValueError(f"DeformOptions.{name} must be between 0 and 1, not {getattr(self, name)}")
+        if not 0 <= self.stiffening <= 4:
+            raise ValueError(f"DeformOptions.stiffening must be between 0 and 4, not {self.stiffening}")
         if self.max_steps < 1:
             raise ValueError(f"DeformOptions.max_steps must be at least 1, not {self.max_steps}")
         if self.when is not None and not isinstance(self.when, Bound):

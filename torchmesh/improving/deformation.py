@@ -1,6 +1,6 @@
 """Deform a mesh with its boundary so that nothing tangles on the way.
 
-    +-> boundary a step further, interior by FEMWARP --- would a triangle invert? -- yes --> shorten the step --+
+    +-> boundary a step further, interior follows ------ would a triangle invert? -- yes --> shorten the step --+
     |                                                       | no                                                |
     |   smooth <- flip <- take it  <------------------------+                                                   |
     +------------------------------------------------------------------------------------------------------------
@@ -64,10 +64,11 @@ def deform(
 ) -> tuple[MeshBatch, DeformReport]:
     """Move the boundary of a valid batch to `new_points` in steps so small that no triangle ever inverts.
 
-    The interior follows by FEMWARP (Shontz & Vavasis, BIT 50, 2010) from its positions at the time.  On the straight
-    way of one step, the area of every triangle is a quadratic in the length of the step, and the least positive root
-    bounds the step.  After each step edges flip and vertices are smoothed, so that the next step can be long.  At the
-    end `improve` makes the shapes good.  The number and order of vertices stay the same.
+    The interior follows harmonically from its positions at the time, with small triangles stiffer
+    (`DeformOptions.stiffening`; 0 is FEMWARP, Shontz & Vavasis, BIT 50, 2010).  On the straight way of one step, the
+    area of every triangle is a quadratic in the length of the step, and the least positive root bounds the step.  After
+    each step edges flip and vertices are smoothed, so that the next step can be long.  At the end `improve` makes the
+    shapes good.  The number and order of vertices stay the same.
 
     new_points  (V, 2) in the unit of the batch; only the rows of fixed vertices are read
     steps       "auto": as few steps as possible; a number: at least so many, of equal length where possible

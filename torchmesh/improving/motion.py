@@ -24,7 +24,7 @@ from ..optimising.targets import as_targets, narrow, narrow_quads
 from ..smoothing.smoothing import smooth
 from ..status import Status
 from ..warping.boundary_path import first_flat
-from ..warping.femwarp import carried
+from ..warping.stiffened import carried_stiffly
 from .deform_options import DeformOptions
 from .layered_motion import Path
 from .needed import beyond
@@ -167,7 +167,7 @@ def _trial(motion: Motion, options: DeformOptions) -> _Trial:
     goal = torch.where(1.0 - goal < options.control.negligible, 1.0, goal)
     before = motion.mesh.select(going)
     points = motion.path.at(torch.where(going, goal, motion.reached)).to(before.points)
-    moved = carried(before, points[spread(going, motion.mesh.point_offsets)])
+    moved = carried_stiffly(before, points[spread(going, motion.mesh.point_offsets)], options.stiffening)
     flat = first_flat(before, moved.points)
     limit = segment_min(flat, before.triangle_offsets)
     # Rounding may invert a triangle where the quadratic does not.

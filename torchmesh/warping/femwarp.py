@@ -12,12 +12,16 @@ from ..mesh.detached import detached, without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.quads import sampled
-from ..mesh.ragged import owner_of, segment_any
-from ..mesh.triangle import corners
+from ..mesh.ragged import owner_of, segment_any, segment_sum, spread
+from ..mesh.triangle import corners, signed_area
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
 from ..optimising.laplacian import ExtensionSystem, cotangent_weights, harmonic_extension
 from ..optimising.linear_map import LinearMap
+
+# Areas count as if none were less than this part of the mean, nor more than so many times it, so that the matrix of a
+# mesh with slivers keeps some digits.
+_STIFFEST = 1e6
 
 
 def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
@@ -88,18 +92,30 @@ def carried(batch: MeshBatch, goal: Tensor) -> MeshBatch:
     return batch.with_points(_system(batch, batch.fixed).extended(goal))
 
 
-def stiffness(batch: MeshBatch) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+def stiffness(batch: MeshBatch, stiffening: float = 0.0) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
     """The triangles (T, 3) of linear elements and the weights (T,) of their edges, as `harmonic_extension` has them.
+
+    stiffening  the weights of a triangle are multiplied by this power of the mean area of its mesh over its own area
 
     The stiffness of a quad is the mean of those of its two splittings into triangles: half of each of its four corner
     triangles.  Each splitting reproduces linear functions, and so does their mean; it does not prefer a diagonal.
     """
-    if not len(batch.quads):
-        return batch.triangles, cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
+    mixed = len(batch.quads) > 0
     batch = sampled(batch)
-    at_a, at_b, at_c = cotangent_weights(corners(batch.points.to(torch.float64), batch.triangles))
-    share = torch.where(batch.of_quads, 0.5, 1.0).to(at_a)
-    return batch.triangles, (share * at_a, share * at_b, share * at_c)
+    places = corners(batch.points.to(torch.float64), batch.triangles)
+    weights = cotangent_weights(places)
+    if stiffening:
+        area = signed_area(places)
+        mean = segment_sum(area, batch.triangle_offsets) / batch.triangle_offsets.diff().clamp_min(1)
+        ratio = (spread(mean, batch.triangle_offsets) / area).clamp(1 / _STIFFEST, _STIFFEST)
+        weights = _scaled(weights, ratio if stiffening == 1 else ratio**stiffening)
+    return batch.triangles, _scaled(weights, torch.where(batch.of_quads, 0.5, 1.0)) if mixed else weights
+
+
+def _scaled(weights: tuple[Tensor, Tensor, Tensor], factor: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Three weights (T,) times a factor (T,)."""
+    at_a, at_b, at_c = weights
+    return factor * at_a, factor * at_b, factor * at_c
 
 
 def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:

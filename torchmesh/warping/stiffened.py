@@ -1,0 +1,71 @@
+"""Carry the interior of a mesh along with its boundary so that small triangles keep their shapes.
+
+    step of the boundary = affine motion + rest        the interior takes the affine motion as it is,
+                                                       and the rest as a harmonic function whose
+                                                       stiffness is higher in smaller triangles
+
+Near a moving body triangles are usually small.  FEMWARP lets all triangles share the deformation alike, so that the
+small ones are the first ones to be flat.  Where small triangles are stiffer, they move along with the body, and large
+ones take the deformation.
+"""
+
+import torch
+from torch import Tensor
+
+from ..mesh.batch import MeshBatch
+from ..mesh.ragged import segment_sum, spread
+from ..optimising.laplacian import ExtensionSystem
+from .femwarp import carried, stiffness
+
+# Where the determinant of the second moments, divided by their trace, is below this, vertices lie on a line.
+_ON_A_LINE = 1e-12
+
+
+def carried_stiffly(batch: MeshBatch, goal: Tensor, stiffening: float) -> MeshBatch:
+    """The batch with its fixed vertices at `goal` (V, 2), the interior following; without a gradient.
+
+    stiffening  the power of one over the area of a triangle to which its stiffness is proportional.  1 is that of
+                Stein, Tezduyar & Benney, Mesh moving techniques for fluid-structure interactions with large
+                displacements, Journal of Applied Mechanics 70, 2003, section 3, where the Jacobian of an element is
+                left out of its integral; 0 is FEMWARP
+
+    The displacement of the interior is the affine motion that fits that of the fixed vertices best, by least squares,
+    and the harmonic extension of what that leaves, with these stiffnesses.  So affine motions are reproduced, as by
+    FEMWARP.  Callers know that the batch is valid and that `goal` fits it.
+    """
+    if stiffening == 0:
+        return carried(batch, goal)
+    points, fixed = batch.points.to(torch.float64), batch.fixed[:, None]
+    asked = torch.where(fixed, goal.to(points) - points, 0.0)
+    affine = _affine_fit(points, batch.fixed, asked, batch.point_offsets)
+    triangles, weights = stiffness(batch, stiffening)
+    system = ExtensionSystem(triangles, weights, batch.fixed, batch.point_offsets)
+    rest = system.extended(torch.where(fixed, asked - affine, 0.0))
+    return batch.with_points(torch.where(fixed, goal, (points + (affine + rest)).to(batch.points)))
+
+
+def _affine_fit(points: Tensor, fixed: Tensor, displacement: Tensor, offsets: Tensor) -> Tensor:
+    """(V, 2) the affine displacement of each mesh that fits that of its `fixed` (V,) vertices best, at all vertices.
+
+    points, displacement  (V, 2) float64; the displacement is 0 where a vertex is not fixed
+
+    Where the fixed vertices lie on a line, it is their mean displacement alone.
+    """
+    one = fixed.to(points)[:, None]
+    count = segment_sum(one, offsets).clamp_min(1)
+    means = segment_sum(torch.cat([points * one, displacement], 1), offsets) / count
+    centred, moved = points - spread(means[:, :2], offsets), (displacement - spread(means[:, 2:], offsets)) * one
+    held = centred * one
+    columns = [held[:, i : i + 1] * v for i in (0, 1) for v in (held, moved)]
+    moments = segment_sum(torch.cat(columns, 1), offsets)
+    # Divided by the trace, they neither overflow nor underflow in any unit of length.
+    trace = moments[:, 0] + moments[:, 5]
+    xx, xy, xu, xv, _, yy, yu, yv = (moments / torch.where(trace > 0, trace, 1.0)[:, None]).unbind(1)
+    determinant = xx * yy - xy * xy
+    flat = ~(determinant > _ON_A_LINE)
+    inverse = torch.where(flat, 0.0, 1.0 / torch.where(flat, 1.0, determinant))[:, None]
+    x_to = torch.stack([yy * xu - xy * yu, yy * xv - xy * yv], 1) * inverse
+    y_to = torch.stack([xx * yu - xy * xu, xx * yv - xy * xv], 1) * inverse
+    return (
+        spread(means[:, 2:], offsets) + centred[:, :1] * spread(x_to, offsets) + centred[:, 1:] * spread(y_to, offsets)
+    )
