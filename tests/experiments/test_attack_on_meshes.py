@@ -20,7 +20,7 @@ def some(kind, count=40, **wanted):
 
 @pytest.mark.parametrize("kind", list(meshes.KINDS))
 def test_the_first_trials_of_each_kind_find_no_fault(kind):
-    done = [meshes.examine(0, kind, number) for number in range(1, 4)]
+    done = [meshes.examine(0, kind, number) for number in (1, 2)]
     found = [trial for trial in done if trial is not None]
     assert found
     # The clock is the machine's, not the code's.

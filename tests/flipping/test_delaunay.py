@@ -1,5 +1,7 @@
 """`flip_to_delaunay` over batches: the Delaunay mesh comes out, whatever the batch, the unit and the options."""
 
+from functools import cache
+
 import meshes
 import numpy as np
 import pytest
@@ -44,12 +46,17 @@ def test_safe_flips_end_delaunay_where_the_mesh_is_valid():
             assert incircle(*(points[v] for v in (u, w, s, opposite[w, u]))) <= 0
 
 
+@cache
+def scrambled_hull(vertices, seed):
+    """A valid mesh of a convex hull, and the triangles that the sequential loop makes of it."""
+    start = meshes.scrambled(meshes.delaunay(vertices, seed), seed)
+    return start, sequential.flip_to_delaunay(start.points.tolist(), start.triangles.tolist())[0]
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_any_valid_mesh_of_a_convex_hull_becomes_the_delaunay_mesh(seed):
-    delaunay = meshes.delaunay(40, seed)
-    start = meshes.scrambled(delaunay, seed)
-    assert triangle_set(start.triangles) != triangle_set(delaunay.triangles)
-    plain, _ = sequential.flip_to_delaunay(start.points.tolist(), start.triangles.tolist())
+    start, plain = scrambled_hull(40, seed)
+    assert triangle_set(start.triangles) != triangle_set(plain)
     by_scipy = Delaunay(start.points.numpy()).simplices
     for options in (FlipOptions(), FlipOptions(rule="kim")):
         flipped, info = flip_to_delaunay(start, options)
@@ -60,12 +67,11 @@ def test_any_valid_mesh_of_a_convex_hull_becomes_the_delaunay_mesh(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_constrained_delaunay_is_that_of_the_sequential_loop(seed):
-    mesh = meshes.scrambled(meshes.delaunay(30, seed), seed)
+    mesh, free = scrambled_hull(30, seed)
     inner = sorted(tuple(sorted(edge)) for edge in interior_edges(mesh))
     kept = np.array(inner)[:: len(inner) // 6]
     mesh = MeshBatch.from_arrays(mesh.points, mesh.triangles, constrained_edges=kept)
     plain, _ = sequential.flip_to_delaunay(mesh.points.tolist(), mesh.triangles.tolist(), kept.tolist())
-    free, _ = sequential.flip_to_delaunay(mesh.points.tolist(), mesh.triangles.tolist())
     assert triangle_set(plain) != triangle_set(free)
     assert triangle_set(flip_to_delaunay(mesh)[0].triangles) == triangle_set(plain)
 

@@ -1,18 +1,46 @@
-"""The blocks of a stiffness matrix, compiled: the twin, to the bit, of `optimising.laplacian.stiffness_blocks`."""
+"""What a harmonic extension is made of, compiled: weights of edges, blocks of the stiffness matrix, and an affine fit.
+
+Each function is the twin, to the bit, of the one that its docstring names; powers of areas other than 0 and 1 may
+differ in the last bit.
+"""
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from .library import ADDRESS, INT64, call, pointer
+from .library import ADDRESS, DOUBLE, INT64, call, function, pointer
 
 # Row offsets, columns and values of a matrix in compressed rows.
 CompressedRows = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
+def edge_stiffness(
+    points: Tensor, triangles: Tensor, triangle_offsets: Tensor, power: float, stiffest: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Three (T,) float64 `optimising.laplacian.edge_stiffness`."""
+    whole = points.to(torch.float64).contiguous(), triangles.contiguous(), triangle_offsets.contiguous()
+    at_a, at_b, at_c, area = torch.empty((4, len(triangles)), dtype=torch.float64)
+    function("tm_edge_stiffness", None, ADDRESS, ADDRESS, ADDRESS, INT64, DOUBLE, DOUBLE, *[ADDRESS] * 4)(
+        *(v.data_ptr() for v in whole), len(triangle_offsets) - 1, power, stiffest,
+        *(v.data_ptr() for v in (at_a, at_b, at_c, area)),
+    )  # fmt: skip
+    return at_a, at_b, at_c
+
+
+def affine_fit(points: Tensor, fixed: Tensor, displacement: Tensor, offsets: Tensor, on_a_line: float) -> Tensor:
+    """(V, 2) `warping.stiffened.affine_fit`."""
+    whole = [v.contiguous() for v in (points, fixed, displacement, offsets)]
+    out = torch.empty_like(whole[0])
+    function("tm_affine_fit", None, *[ADDRESS] * 4, INT64, DOUBLE, ADDRESS)(
+        *(v.data_ptr() for v in whole), len(offsets) - 1, on_a_line, out.data_ptr()
+    )
+    return out
+
+
 def blocks(
     triangles: Tensor, weights: tuple[Tensor, Tensor, Tensor], known: Tensor
 ) -> tuple[CompressedRows, CompressedRows]:
-    """K_II and -K_IB; arguments are those of `stiffness_blocks`, on the processor."""
+    """`optimising.laplacian.stiffness_blocks`, on the processor."""
     size, room = int((~known).sum()), 2 * triangles.numel()
     triangles, known = triangles.contiguous(), known.contiguous()
     columns = [weight.contiguous() for weight in weights]

@@ -79,15 +79,16 @@ def detached(value: Any) -> Any:
         return value
     if isinstance(value, Tensor):
         return value.detach() if value.requires_grad else value
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+    names = _fields(type(value))
+    if names:
         changed = {}
-        for f in dataclasses.fields(value):
-            old = getattr(value, f.name)
+        for name in names:
+            old = getattr(value, name)
             if type(old) in _PLAIN:
                 continue
             new = detached(old)
             if new is not old:
-                changed[f.name] = new
+                changed[name] = new
         return dataclasses.replace(value, **changed) if changed else value
     if type(value) in (list, tuple):
         parts = [detached(part) for part in value]
@@ -96,6 +97,12 @@ def detached(value: Any) -> Any:
         values = {key: detached(part) for key, part in value.items()}
         return value if all(values[key] is part for key, part in value.items()) else values
     return value
+
+
+@functools.cache
+def _fields(kind: type) -> tuple[str, ...]:
+    """The names of the fields of a dataclass; none for any other type."""
+    return tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
 
 
 def _requires_grad(value: Any) -> bool:

@@ -12,16 +12,11 @@ from ..mesh.detached import detached, without_autograd
 from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.quads import sampled
-from ..mesh.ragged import owner_of, segment_any, segment_sum, spread
-from ..mesh.triangle import corners, signed_area
+from ..mesh.ragged import owner_of, segment_any
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
-from ..optimising.laplacian import ExtensionSystem, cotangent_weights, harmonic_extension
+from ..optimising.laplacian import ExtensionSystem, edge_stiffness, harmonic_extension
 from ..optimising.linear_map import LinearMap
-
-# Areas count as if none were less than this part of the mean, nor more than so many times it, so that the matrix of a
-# mesh with slivers keeps some digits.
-_STIFFEST = 1e6
 
 
 def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
@@ -95,27 +90,18 @@ def carried(batch: MeshBatch, goal: Tensor) -> MeshBatch:
 def stiffness(batch: MeshBatch, stiffening: float = 0.0) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
     """The triangles (T, 3) of linear elements and the weights (T,) of their edges, as `harmonic_extension` has them.
 
-    stiffening  the weights of a triangle are multiplied by this power of the mean area of its mesh over its own area
+    stiffening  as `edge_stiffness` has it
 
     The stiffness of a quad is the mean of those of its two splittings into triangles: half of each of its four corner
     triangles.  Each splitting reproduces linear functions, and so does their mean; it does not prefer a diagonal.
     """
     mixed = len(batch.quads) > 0
     batch = sampled(batch)
-    places = corners(batch.points.to(torch.float64), batch.triangles)
-    weights = cotangent_weights(places)
-    if stiffening:
-        area = signed_area(places)
-        mean = segment_sum(area, batch.triangle_offsets) / batch.triangle_offsets.diff().clamp_min(1)
-        ratio = (spread(mean, batch.triangle_offsets) / area).clamp(1 / _STIFFEST, _STIFFEST)
-        weights = _scaled(weights, ratio if stiffening == 1 else ratio**stiffening)
-    return batch.triangles, _scaled(weights, torch.where(batch.of_quads, 0.5, 1.0)) if mixed else weights
-
-
-def _scaled(weights: tuple[Tensor, Tensor, Tensor], factor: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Three weights (T,) times a factor (T,)."""
-    at_a, at_b, at_c = weights
-    return factor * at_a, factor * at_b, factor * at_c
+    weights = edge_stiffness(batch.points, batch.triangles, batch.triangle_offsets, stiffening)
+    if mixed:
+        share = torch.where(batch.of_quads, 0.5, 1.0).to(weights[0])
+        weights = share * weights[0], share * weights[1], share * weights[2]
+    return batch.triangles, weights
 
 
 def with_held(batch: MeshBatch, hold: Tensor | None) -> MeshBatch:

@@ -12,6 +12,8 @@ ones take the deformation.
 import torch
 from torch import Tensor
 
+from ..kernels import stiffness as compiled
+from ..kernels.library import library_for
 from ..mesh.batch import MeshBatch
 from ..mesh.ragged import segment_sum, spread
 from ..optimising.laplacian import ExtensionSystem
@@ -37,20 +39,22 @@ def carried_stiffly(batch: MeshBatch, goal: Tensor, stiffening: float) -> MeshBa
         return carried(batch, goal)
     points, fixed = batch.points.to(torch.float64), batch.fixed[:, None]
     asked = torch.where(fixed, goal.to(points) - points, 0.0)
-    affine = _affine_fit(points, batch.fixed, asked, batch.point_offsets)
+    affine = affine_fit(points, batch.fixed, asked, batch.point_offsets)
     triangles, weights = stiffness(batch, stiffening)
     system = ExtensionSystem(triangles, weights, batch.fixed, batch.point_offsets)
     rest = system.extended(torch.where(fixed, asked - affine, 0.0))
     return batch.with_points(torch.where(fixed, goal, (points + (affine + rest)).to(batch.points)))
 
 
-def _affine_fit(points: Tensor, fixed: Tensor, displacement: Tensor, offsets: Tensor) -> Tensor:
+def affine_fit(points: Tensor, fixed: Tensor, displacement: Tensor, offsets: Tensor) -> Tensor:
     """(V, 2) the affine displacement of each mesh that fits that of its `fixed` (V,) vertices best, at all vertices.
 
     points, displacement  (V, 2) float64; the displacement is 0 where a vertex is not fixed
 
     Where the fixed vertices lie on a line, it is their mean displacement alone.
     """
+    if library_for(points) is not None:
+        return compiled.affine_fit(points, fixed, displacement, offsets, _ON_A_LINE)
     one = fixed.to(points)[:, None]
     count = segment_sum(one, offsets).clamp_min(1)
     means = segment_sum(torch.cat([points * one, displacement], 1), offsets) / count

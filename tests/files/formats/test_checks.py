@@ -4,6 +4,7 @@ import base64
 import re
 import struct
 import zlib
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -67,10 +68,16 @@ def test_a_vertex_of_dolfin_that_comes_twice_leaves_no_other_undefined(tmp_path)
     refused(path, path.read_text().replace('vertex index="7"', 'vertex index="6"'), "each of them once")
 
 
+@cache
+def zeros(size):
+    """So many bytes of zero, compressed."""
+    return zlib.compress(bytes(size), 9)
+
+
 def swollen(path: Path, compressor: str, encoding: str) -> bytes:
     """A vtu file whose points are 200 MB of zeros in some hundred kilobytes."""
     size = 200_000_000
-    packed = zlib.compress(bytes(size), 9)
+    packed = zeros(size)
     block = struct.pack("<4I", 1, size, size, len(packed)), packed
     head = f'<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" compressor="{compressor}">'
     array = '<DataArray type="Float64" NumberOfComponents="3" Name="Points" '

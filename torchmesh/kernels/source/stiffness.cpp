@@ -83,3 +83,80 @@ TM_EXPORT void tm_split_stiffness(const std::int32_t* offsets, const std::int32_
         outer_offsets[r + 1] = out;
     }
 }
+
+// The weights (count,) of the edges opposite the corners of triangles (count, 3), half the cotangents of the angles there,
+// as `cotangent_weights` in torchmesh/optimising/laplacian.py.  Where `power` is not 0, each triangle's are multiplied by
+// this power of the mean area of its mesh over its own, which counts as at most `stiffest` and at least one over it.
+TM_EXPORT void tm_edge_stiffness(const double* points, const std::int64_t* triangles, const std::int64_t* offsets,
+                                 std::int64_t meshes, double power, double stiffest, double* at_a, double* at_b,
+                                 double* at_c, double* area) {
+    for (std::int64_t t = offsets[0]; t < offsets[meshes]; ++t) {
+        const double *a = points + 2 * triangles[3 * t], *b = points + 2 * triangles[3 * t + 1],
+                     *c = points + 2 * triangles[3 * t + 2];
+        const double ux = b[0] - a[0], uy = b[1] - a[1], vx = c[0] - a[0], vy = c[1] - a[1], wx = c[0] - b[0],
+                     wy = c[1] - b[1];
+        area[t] = 0.5 * (ux * vy - uy * vx);
+        const double quarter = 1.0 / (4.0 * area[t]);
+        at_a[t] = (ux * vx + uy * vy) * quarter;
+        at_b[t] = -(ux * wx + uy * wy) * quarter;
+        at_c[t] = (vx * wx + vy * wy) * quarter;
+    }
+    if (power == 0) return;
+    for (std::int64_t m = 0; m < meshes; ++m) {
+        double sum = 0;
+        for (std::int64_t t = offsets[m]; t < offsets[m + 1]; ++t) sum += area[t];
+        const double mean = sum / double(std::max<std::int64_t>(offsets[m + 1] - offsets[m], 1));
+        for (std::int64_t t = offsets[m]; t < offsets[m + 1]; ++t) {
+            const double ratio = std::min(std::max(mean / area[t], 1 / stiffest), stiffest);
+            const double factor = power == 1 ? ratio : std::pow(ratio, power);
+            at_a[t] = factor * at_a[t];
+            at_b[t] = factor * at_b[t];
+            at_c[t] = factor * at_c[t];
+        }
+    }
+}
+
+// The affine displacement of each mesh that fits the displacement (vertices, 2) of its fixed vertices best, at all its
+// vertices, as `affine_fit` in torchmesh/warping/stiffened.py.
+TM_EXPORT void tm_affine_fit(const double* points, const std::uint8_t* fixed, const double* displacement,
+                             const std::int64_t* offsets, std::int64_t meshes, double on_a_line, double* out) {
+    for (std::int64_t m = 0; m < meshes; ++m) {
+        double count = 0, x = 0, y = 0, u = 0, v = 0;
+        for (std::int64_t i = offsets[m]; i < offsets[m + 1]; ++i) {
+            if (!fixed[i]) continue;
+            count += 1;
+            x += points[2 * i];
+            y += points[2 * i + 1];
+            u += displacement[2 * i];
+            v += displacement[2 * i + 1];
+        }
+        count = std::max(count, 1.0);
+        x /= count;
+        y /= count;
+        u /= count;
+        v /= count;
+        double xx = 0, xy = 0, yy = 0, xu = 0, xv = 0, yu = 0, yv = 0;
+        for (std::int64_t i = offsets[m]; i < offsets[m + 1]; ++i) {
+            if (!fixed[i]) continue;
+            const double px = points[2 * i] - x, py = points[2 * i + 1] - y, du = displacement[2 * i] - u,
+                         dv = displacement[2 * i + 1] - v;
+            xx += px * px;
+            xy += px * py;
+            yy += py * py;
+            xu += px * du;
+            xv += px * dv;
+            yu += py * du;
+            yv += py * dv;
+        }
+        const double sum = xx + yy, trace = sum > 0 ? sum : 1.0;
+        for (double* moment : {&xx, &xy, &yy, &xu, &xv, &yu, &yv}) *moment /= trace;
+        const double determinant = xx * yy - xy * xy, inverse = determinant > on_a_line ? 1.0 / determinant : 0.0;
+        const double ux = (yy * xu - xy * yu) * inverse, vx = (yy * xv - xy * yv) * inverse,
+                     uy = (xx * yu - xy * xu) * inverse, vy = (xx * yv - xy * xv) * inverse;
+        for (std::int64_t i = offsets[m]; i < offsets[m + 1]; ++i) {
+            const double px = points[2 * i] - x, py = points[2 * i + 1] - y;
+            out[2 * i] = u + px * ux + py * uy;
+            out[2 * i + 1] = v + px * vx + py * vy;
+        }
+    }
+}
