@@ -24,6 +24,9 @@ _R = TypeVar("_R")
 # What has no tensors in it.  Options are full of these, and looking into each would take longer than measuring a mesh.
 _PLAIN = frozenset({int, float, bool, str, type(None), torch.dtype, torch.device})
 
+# The names of the fields of each type that was met.
+_KNOWN: dict[type, tuple[str, ...]] = {}
+
 
 class _Thread(threading.local):
     """inside: whether a function of ours is already at work in this thread."""
@@ -99,10 +102,11 @@ def detached(value: Any) -> Any:
     return value
 
 
-@functools.cache
 def _fields(kind: type) -> tuple[str, ...]:
     """The names of the fields of a dataclass; none for any other type."""
-    return tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
+    if kind not in _KNOWN:
+        _KNOWN[kind] = tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
+    return _KNOWN[kind]
 
 
 def _requires_grad(value: Any) -> bool:
