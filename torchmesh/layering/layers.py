@@ -34,7 +34,8 @@ class LayerOptions:
     """What counts as a layer.
 
     first    the height of the first row is at most this part of the wall's edge below it
-    height   so is the height of each further row
+    height   the height of each further row is at most this part of that edge, and of its own mean width: where strips
+             come together far from a long edge, as in the lattice of a usual mesher, no layer is left
     lean     a column is at most so many times as long as its row is high; 2 is a lean of 60 degrees
     turn     the cosine of the greatest angle between the lower and the upper edge of a quadrilateral
     shrink   a row is at least this part of the row below it high: layers grow outwards
@@ -262,7 +263,8 @@ class _Walk:
         height = area / (0.5 * (a + b))
         column = torch.maximum(at_left, at_right)
         o = self.options
-        limit = ((o.first if row == 1 else o.height) * self.length).repeat(2)
+        wide = self.length.repeat(2)
+        limit = o.first * wide if row == 1 else o.height * torch.minimum(wide, 0.5 * (a + b))
         good = ~self.blocked[diagonal] & (across >= 0) & self.free[pair].all(1)
         good &= (height > 0) & (height <= limit) & (column <= o.lean * height)
         good &= (lower * upper).sum(1) >= o.turn * a * b

@@ -68,7 +68,8 @@ struct Walk {
         quad.height = 0.5 * cross(r - p, s - q) / (0.5 * (a + b));
         quad.column = std::max(left, right);
         const double height = quad.height, column = quad.column;
-        if (!(height > 0 && height <= (first ? limits.first : limits.height) * wall)) return false;
+        const double limit = first ? limits.first * wall : limits.height * std::min(wall, 0.5 * (a + b));
+        if (!(height > 0 && height <= limit)) return false;
         if (!(column <= limits.lean * height && dot(lower, upper) >= limits.turn * a * b)) return false;
         return first ? column <= limits.alike * std::min(left, right) : height >= limits.shrink * below;
     }
