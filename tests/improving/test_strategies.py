@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from torchmesh import ImproveOptions, RemeshOptions, SmoothOptions, Status, UntangleOptions, improve, join, target_from
+from torchmesh.improving.step_options import Rounds, StartAnew
 from torchmesh.improving.strategies import strategy
 
 
@@ -26,7 +27,7 @@ FULL = ["remove_where_there_is_no_room", "remesh_the_valid"]
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (ImproveOptions(), [*USUAL, *END]),
+        (ImproveOptions(), [*TANGLED, "start_anew", *USUAL[len(TANGLED) :], *END]),
         (ImproveOptions.fast(), [*USUAL, *END]),
         (ImproveOptions.paper(), ["find_faults", "paper", "certify"]),
         (
@@ -75,6 +76,41 @@ def test_the_stages_that_the_report_names():
     sized = ImproveOptions(remesh=RemeshOptions(sizes="uniform"))
     assert "relocate" in stages(valid, sized)
     assert "relocate" not in stages(valid, ImproveOptions.fast())
+
+
+def test_large_tangles_start_anew_unless_something_speaks_against_it():
+    mesh = meshes.moved_hole()
+    rounds = Rounds(anew=StartAnew(large=100))
+    assert "place-anew" in stages(mesh, ImproveOptions(rounds=rounds))
+    assert "relocate" not in stages(mesh, ImproveOptions(rounds=rounds))
+    for other in (StartAnew(large=100, share=0.9), StartAnew(large=1000)):
+        assert "place-anew" not in stages(mesh, ImproveOptions.fast(rounds=Rounds(anew=other), relocate="auto"))
+    assert "place-anew" not in stages(meshes.grid(), ImproveOptions(rounds=rounds))
+    for other in (
+        ImproveOptions(rounds=Rounds(anew=None)),
+        ImproveOptions(relocate=False),
+        ImproveOptions(topology="keep"),
+        ImproveOptions(topology="full"),
+        ImproveOptions(boundary="slide"),
+        ImproveOptions(interfaces="free"),
+        ImproveOptions(scope="damage"),
+        ImproveOptions(max_motion=30.0),
+        ImproveOptions(reference=meshes.grid()),
+        ImproveOptions(remesh=RemeshOptions(sizes="uniform")),
+    ):
+        assert "start_anew" not in steps_of(other)
+
+
+def test_a_mesh_starts_anew_in_a_batch_as_alone():
+    batch = [meshes.moved_hole(), meshes.grid(), meshes.jittered(12, 11, cells=2.5), meshes.moved_hole(4.0)]
+    options = ImproveOptions(rounds=Rounds(anew=StartAnew(large=100)))
+    whole, report = improve(join(batch), options)
+    names = [{step.stage for step in steps} for steps in report.steps]
+    assert ["place-anew" in of for of in names] == [True, False, False, True]
+    for mesh, together in zip(batch, whole.split(), strict=True):
+        alone, _ = improve(mesh, options)
+        assert torch.equal(alone.points, together.points)
+        assert torch.equal(alone.triangles, together.triangles)
 
 
 def test_a_reference_is_followed_first():

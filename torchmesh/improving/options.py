@@ -31,10 +31,11 @@ class ImproveOptions:
     smooth            the smoothing steps
     polish            which triangles are worked on at the end, worst first, with their neighbourhoods; None means none.
                       Polishing is not done with topology "keep", targets, or method "paper"
-    relocate          whether vertices travel far where shapes stay poor: "auto" in meshes that came tangled, True
-                      also in valid ones, False nowhere.  If sizes, targets, a reference or topology "full"
-                      are asked for, vertices may travel far in any case.  Otherwise no vertex of a valid mesh goes
-                      further than the mesh is wide there: the mean length of the edges at the vertex as given
+    relocate          whether vertices travel far where shapes stay poor, or in large tangles of large meshes
+                      (`Rounds.anew`): "auto" in meshes that came tangled, True also in valid ones, False nowhere.
+                      If sizes, targets, a reference or topology "full" are asked for, vertices may travel far in any
+                      case.  Otherwise no vertex of a valid mesh goes further than the mesh is wide there: the mean
+                      length of the edges at the vertex as given
     untangle_rounds   the greatest number of rounds of flipping and untangling
     smooth_rounds     the greatest number of rounds of flipping and smoothing of a valid mesh; without a meaning under
                       topology "keep" and method "paper"
@@ -197,6 +198,14 @@ class ImproveOptions:
     def travels(self) -> bool:
         """Whether vertices may travel from crowded to empty regions where shapes are poor."""
         return self.may_flip and self.smooth.targets is None
+
+    @property
+    def starts_anew(self) -> bool:
+        """Whether the free vertices of large tangled meshes may get new positions before anything else."""
+        asked = self.remesh.sizes_asked or self.reference is not None or self.max_motion is not None
+        moved = self.slides or self.at_interfaces == "free" or self.scope == "damage"
+        usual = self.method == "default" and self.topology == "flip" and self.travels and self.relocate is not False
+        return self.rounds.anew is not None and usual and not (asked or moved)
 
     @property
     def polishes(self) -> bool:

@@ -6,6 +6,7 @@
     average          scrambled interiors           remove_vertices  topology "full", last resort
     warp             FEMWARP from the reference    remesh           topology "full": splits and collapses
     retriangulate    cavities, exactly             attempt          keeps a result only where it is better
+    place_anew       vertices of large tangles
 
 A stage works on all the meshes that it is given.  Modules that only few meshes need are imported where they are first
 used: averaging, re-triangulation, sliding, relocation, remeshing.
@@ -41,6 +42,8 @@ from .state import State
 
 if TYPE_CHECKING:
     from ..untangling.averaging import AverageOptions
+
+_PLACED_ANEW = "; its free vertices got new positions, by the sizes of the boundary"
 
 Settings = TypeVar("Settings", UntangleOptions, SmoothOptions, polishing.PolishOptions, "AverageOptions")
 
@@ -129,6 +132,25 @@ def retriangulate() -> Stage:
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         mesh, info = retriangulate_cavities(state.mesh, state.origin.interfaces)
         return replace(state.at(mesh), reasons=tuple(info.reasons)), Work.done(state, cavities=info.cavities)
+
+    return stage
+
+
+def place_anew() -> Stage:
+    """Gives the free vertices new positions, from the boundary alone; meshes where that cannot be done stay."""
+    from ..remeshing.anew_in_rows import anew_in_rows, is_quick
+
+    def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
+        kept = torch.zeros_like(state.valid)
+        for b in range(len(state) if is_quick(state.mesh) else 0):
+            one = torch.arange(len(state)) == b
+            before = state.select(one)
+            mesh = anew_in_rows(before.mesh, before.quality)
+            after = None if mesh is None else before.at(mesh)
+            if after is not None and bool(after.valid):
+                after = replace(after, anew=torch.ones_like(after.valid)).noted({0: _PLACED_ANEW})
+                state, kept = state.put(one, after), kept | one
+        return state, Work.done(state, kept=kept)
 
     return stage
 

@@ -61,6 +61,7 @@ class State:
     conformity  how well edges follow them, set at the end; None: no sizes were asked for
     names      topology "full": which vertices of the given batch these are; None: all, in their order
     edits      topology "full": what came and went
+    anew       (B,) bool, the vertices have been placed anew, by the sizes of the boundary; None: in no mesh
     """
 
     mesh: MeshBatch
@@ -85,6 +86,7 @@ class State:
     conformity: SizeConformity | None = None
     names: Names | None = None
     edits: Edits | None = None
+    anew: Tensor | None = None
     failures: tuple[tuple[tuple[str, str], ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -313,6 +315,7 @@ class State:
             conformity=select_conformity(self.conformity, at),
             names=None if self.names is None else self.names.select(vertices),
             edits=None if self.edits is None else self.edits.select(at),
+            anew=None if self.anew is None else self.anew[at],
             failures=tuple(self.failures[b] for b in chosen),
         )
 
@@ -354,8 +357,13 @@ class State:
         def mixed(old: tuple[_T, ...], new: tuple[_T, ...]) -> tuple[_T, ...]:
             return tuple(new[row[b]] if b in row else entry for b, entry in enumerate(old))
 
+        anew = self.anew
+        if part.anew is not None:
+            anew = torch.zeros_like(at) if anew is None else anew
+            anew = put_where(anew, at, part.anew)
         return replace(
             self,
+            anew=anew,
             status=put_where(self.status, at, part.status),
             certified=put_where(self.certified, at, part.certified),
             conformity=put_conformity(self.conformity, at, part.conformity),

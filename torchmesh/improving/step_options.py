@@ -15,9 +15,26 @@ def _check_least(options: object, **least: float) -> None:
 
 
 @dataclass(frozen=True)
+class StartAnew:
+    """Which tangled meshes get new positions for all free vertices (`remeshing.anew_in_rows`).
+
+    large   meshes of fewer triangles are untangled from where they are
+    share   so are meshes in which fewer of the triangles are inverted than this part
+    """
+
+    large: int = 5_000
+    share: float = 0.01
+
+    def __post_init__(self) -> None:
+        _check_least(self, large=0, share=0)
+
+
+@dataclass(frozen=True)
 class Rounds:
     """How steps 1 and 2 of Kim 2017 alternate, and when they are stalled.
 
+    anew                 which large meshes that averaging leaves tangled get new positions for all free vertices,
+                         where these may travel, edges may flip, and nothing else was asked for; None: none do
     flip_rounds          the rounds of flips before each untangling: the first flips do most, and later ones are guided
                          by tangled triangles only
     progress, patience   a mesh leaves the loop after so many rounds in a row in which the number of its inverted
@@ -37,6 +54,7 @@ class Rounds:
     tells_flips          whether it is told of a mesh that stays tangled with its triangles kept how few flips would do
     """
 
+    anew: StartAnew | None = field(default_factory=StartAnew)
     flip_rounds: int = 2
     progress: float = 0.75
     patience: int = 2

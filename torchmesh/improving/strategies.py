@@ -2,9 +2,10 @@
 
       tangled meshes                                     valid meshes
    +-- average: neighbours' means, triangles kept    +-> flips that lower the smoother's energy <-+
-   |-- flip and untangle-beta, in turn               |   smooth (inverse mean ratio) -------------+
-   |-- retriangulate cavities                        |        | no flip is left, or quality settles
-   +-- regularised, newton: triangles kept ----------+        +-> smooth with a ceiling -> polish the worst -> certify
+   |-- place-anew: large tangles of large meshes     |   smooth (inverse mean ratio) -------------+
+   |-- flip and untangle-beta, in turn               |        | no flip is left, or quality settles
+   |-- retriangulate cavities                        |        +-> smooth with a ceiling -> polish the worst -> certify
+   +-- regularised, newton: triangles kept ----------+
 
 Every mesh goes its own way; the meshes that take the same stage are worked on together, as one batch.
 """
@@ -24,7 +25,7 @@ from ..mesh.neighbourhoods import rewired, surroundings
 from ..mesh.ragged import counts_from_offsets, segment_any
 from ..mesh.submesh import submesh
 from ..optimising.moves import Monitor
-from ..remeshing.criteria import crowded
+from ..remeshing.criteria import CrowdedOptions, crowded
 from ..remeshing.options import RemeshOptions
 from ..smoothing.polishing import PolishOptions, bad_triangles
 from ..smoothing.smoothing import SmoothOptions
@@ -44,6 +45,7 @@ from .stages import (
     gather,
     newton,
     on_triangles,
+    place_anew,
     polish,
     regularised,
     relocate,
@@ -78,6 +80,8 @@ def strategy(o: ImproveOptions) -> list[Step]:
     if o.method == "paper":
         return [partial(step, o=o) for step in (find_faults, paper, certify)]
     steps = [find_faults, *([round_positions] if o.rounds_positions else []), untangle_by_averaging]
+    if o.starts_anew:
+        steps += [start_anew]
     if o.may_flip:
         steps += [untangle_with_flips, untangle_by_retriangulation]
     tells_flips = o.rounds.tells_flips and not o.may_flip
@@ -133,6 +137,17 @@ def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State
     if bool(state.tangled.any()):
         state, _ = run("average", attempt(average(), _given), state, state.tangled)
     return replace(state, averaged=state.mesh.points)
+
+
+def start_anew(state: State, run: Runner, o: ImproveOptions) -> State:
+    """Large tangles that averaging leaves in large meshes: the boundary says best where the vertices belong."""
+    limits, triangles = o.rounds.anew, counts_from_offsets(state.mesh.triangle_offsets)
+    if limits is None:
+        return state
+    at = state.tangled & ~state.faulty & ~state.impossible & (triangles >= limits.large)
+    at = at & (state.quality.inverted > limits.share * triangles)
+    at = at & (counts_from_offsets(state.mesh.quad_offsets) == 0)
+    return run("place-anew", place_anew(), state, at)[0] if bool(at.any()) else state
 
 
 def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -309,6 +324,9 @@ def let_vertices_travel(state: State, run: Runner, o: ImproveOptions) -> State:
     if not (o.relocate or asked.sizes_asked):
         return state
     at = crowded(state.judged, asked, state.mesh.triangle_offsets) & ~state.tethered
+    if state.anew is not None and not asked.sizes_asked:
+        # They are where the sizes of the boundary want them; what is poor there is so for want of room.
+        at = at & ~(state.anew & (state.judged.mean <= CrowdedOptions().mean))
     if bool(at.any()):
         state, work = run("relocate", on_triangles(relocate(o.remesh, asked.sizes_asked)), state, at)
         if o.slides:

@@ -49,7 +49,9 @@ class OutlineMesher:
         call("tm_mesher_background", INT64, ADDRESS(self._mesher), ADDRESS(pointer(triangles)))
         return triangles
 
-    def mesh(self, size: Tensor, done: float, room: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def mesh(
+        self, size: Tensor, done: float, room: float, filled: tuple[int, int] | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The triangles (T, 3); of the new vertices positions, sizes, corners and weights."""
         mesher, size, options = ADDRESS(self._mesher), size.contiguous(), _Front(done, room)
         call("tm_mesher_begin", None, mesher, ADDRESS(pointer(size)), ctypes.byref(options))
@@ -57,6 +59,9 @@ class OutlineMesher:
             pass
         added = INT64(0)
         count = call("tm_mesher_mesh", INT64, mesher, *(None,) * 5, ctypes.byref(added))
+        if filled is not None and filled[0] <= added.value < filled[1]:
+            call("tm_mesher_fill", None, mesher, INT64(filled[1] - added.value))
+            count = call("tm_mesher_mesh", INT64, mesher, *(None,) * 5, ctypes.byref(added))
         new = added.value
         triangles, corners = (torch.empty((rows, 3), dtype=torch.int64) for rows in (count, new))
         points, weights = (torch.empty((new, columns), dtype=torch.float64) for columns in (2, 3))

@@ -47,13 +47,24 @@ class Mesher(Protocol):
     def background(self) -> Tensor:
         """(T, 3) int64 the triangles of all vertices that are in the domain; those of the others are in none."""
 
-    def mesh(self, size: Tensor, done: float, room: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def mesh(
+        self, size: Tensor, done: float, room: float, filled: tuple[int, int] | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The mesh for sizes (V,), which are read at the vertices of the background.
+
+        filled  if the front places at least the first number of vertices, but fewer than the second one, further ones
+                go to the centres of the circles that are largest for the size wanted, the largest first, up to that
+                number as far as there is room
 
         Returns its triangles (T, 3) int64 and, of the new vertices, whose rows follow those of the outline, the
         positions (N, 2), the sizes wanted (N,), and the corners (N, 3) int64 and weights (N, 3) with which a linear
         function over the background is read there.
         """
+
+
+def is_compiled(points: Tensor) -> bool:
+    """Whether meshers for these points are compiled."""
+    return library_for(points) is not None
 
 
 def outline_mesher(points: Tensor, held: Tensor, boundary: Tensor, segments: Tensor) -> Mesher:
@@ -64,7 +75,7 @@ def outline_mesher(points: Tensor, held: Tensor, boundary: Tensor, segments: Ten
     boundary  (N, 2) int64 edges with the domain on their left
     segments  (M, 2) int64 edges inside that must be in the mesh
     """
-    if library_for(points) is not None:
+    if is_compiled(points):
         from ..kernels.meshing import OutlineMesher
 
         return OutlineMesher(points, held, boundary, segments)

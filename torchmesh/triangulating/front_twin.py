@@ -41,7 +41,9 @@ class OutlineMesher:
         """(T, 3) int64 the triangles of all the vertices that are inside; those of the others are in none."""
         return _triangles_of(self.grown)
 
-    def mesh(self, size: Tensor, done: float, room: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def mesh(
+        self, size: Tensor, done: float, room: float, filled: tuple[int, int] | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The triangles (T, 3); of the new vertices positions, sizes, corners and weights."""
         d = self.triangulation
         self.done, self.room = done, room
@@ -59,7 +61,28 @@ class OutlineMesher:
             _, t, stamp = heapq.heappop(self.waiting)
             if self.stamp[t] == stamp and self._active(t):
                 self._place(t)
+        added = len(d.x) - self.vertices - 4
+        if filled is not None and filled[0] <= added < filled[1]:
+            self._fill(filled[1] - added)
         return self._result()
+
+    def _fill(self, count: int) -> None:
+        """Put up to `count` more vertices at the centres of the circles that are largest for the size wanted."""
+        d = self.triangulation
+        for t in range(d.triangles()):
+            self._measure(t)
+        waiting = [(-self.radius[t], t, self.stamp[t]) for t in range(d.triangles()) if self.radius[t] > 0]
+        heapq.heapify(waiting)
+        while count > 0 and waiting:
+            _, t, stamp = heapq.heappop(waiting)
+            px, py, radius = self._circle(t)
+            if self.stamp[t] != stamp or not math.isfinite(radius):
+                continue
+            if self._place_at(px, py, t, d.vertex[3 * t], self._wanted(3 * t)):
+                count -= 1
+                for m in d.made:
+                    if self.radius[m] > 0:
+                        heapq.heappush(waiting, (-self.radius[m], m, self.stamp[m]))
 
     def _result(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         d, first = self.triangulation, self.vertices + 4
@@ -186,7 +209,17 @@ class OutlineMesher:
         far = min(height, depth)
         if not far > 0:
             return False
-        px, py = mx + far * nx, my + far * ny
+        if not self._place_at(mx + far * nx, my + far * ny, t, u, self._wanted(h)):
+            return False
+        for m in d.made:
+            self._ask(m)
+            if d.twin[3 * m] >= 0:
+                self._ask(d.twin[3 * m] // 3)
+        return True
+
+    def _place_at(self, px: float, py: float, t: int, u: int, usual: float) -> bool:
+        """Put a vertex at a point near the triangle t and its corner u; `usual` is the size where none is known."""
+        d = self.triangulation
         where = d.locate(px, py, t, True)
         if where < 0 or not d.inside[where]:
             return False
@@ -194,7 +227,7 @@ class OutlineMesher:
         if hint < 0 or not self.grown.inside[hint]:
             hint = self.near[u]
         here = self._size_in(hint, px, py)
-        here = here if here > 0 else self._wanted(h)
+        here = here if here > 0 else usual
         p = len(d.x)
         d.x.append(px)
         d.y.append(py)
@@ -207,10 +240,6 @@ class OutlineMesher:
         self.near.append(hint)
         for m in d.made:
             self._measure(m)
-        for m in d.made:
-            self._ask(m)
-            if d.twin[3 * m] >= 0:
-                self._ask(d.twin[3 * m] // 3)
         return True
 
     def _doubled(self, a: int, b: int, px: float, py: float) -> float:

@@ -100,6 +100,24 @@ class Mesher {
         return true;
     }
 
+    // Puts up to `count` more vertices at the centres of the circles that are largest for the size wanted, after the front.
+    void fill(std::int64_t count) {
+        waiting = {};
+        for (Row t = 0; t < mesh->triangles(); ++t) measure(t);
+        for (Row t = 0; t < mesh->triangles(); ++t)
+            if (radius[t] > 0) waiting.push({radius[t], t, stamp[t]});
+        while (count > 0 && !waiting.empty()) {
+            const Candidate c = waiting.top();
+            waiting.pop();
+            double px, py;
+            if (stamp[c.triangle] != c.stamp || !std::isfinite(circle(c.triangle, px, py))) continue;
+            if (!place_at(px, py, c.triangle, mesh->vertex[3 * c.triangle], wanted(3 * c.triangle))) continue;
+            --count;
+            for (const Row m : mesh->made)
+                if (radius[m] > 0) waiting.push({radius[m], m, stamp[m]});
+        }
+    }
+
     std::vector<double> size;  // (V + 4 + new,)
 
     // The triangle of the background that the new vertex p was placed in: its corners, and the weights with which a
@@ -255,13 +273,24 @@ class Mesher {
         const double depth = (cx - mx) * nx + (cy - my) * ny, height = 0.5 * SQRT3 * wanted(h);
         const double far = std::min(height, depth);
         if (!(far > 0)) return false;
-        const double px = mx + far * nx, py = my + far * ny;
+        if (!place_at(mx + far * nx, my + far * ny, t, u, wanted(h))) return false;
+        for (const Row m : mesh->made) {
+            ask(m);
+            const Row across = mesh->twin[3 * m];
+            if (across >= 0) ask(across / 3);
+        }
+        return true;
+    }
+
+    // Puts a vertex at a point near the triangle t and its corner u, and measures the triangles that this makes; `usual` is
+    // the size where the background knows none.
+    bool place_at(double px, double py, Row t, Row u, double usual) {
         const Row where = mesh->locate(px, py, t, true);
         if (where < 0 || !mesh->inside[where]) return false;
         Row hint = background->locate(px, py, near[u], false);
         if (hint < 0 || !background->inside[hint]) hint = near[u];
         double here = size_in_background(hint, px, py);
-        if (!(here > 0)) here = wanted(h);
+        if (!(here > 0)) here = usual;
         const Row p = Row(mesh->x.size());
         mesh->x.push_back(px), mesh->y.push_back(py), mesh->at.push_back(-1);
         if (!mesh->insert(p, where, options.room * here)) {
@@ -270,11 +299,6 @@ class Mesher {
         }
         size.push_back(here), near.push_back(hint);
         for (const Row m : mesh->made) measure(m);
-        for (const Row m : mesh->made) {
-            ask(m);
-            const Row across = mesh->twin[3 * m];
-            if (across >= 0) ask(across / 3);
-        }
         return true;
     }
 
@@ -327,6 +351,8 @@ TM_EXPORT void tm_mesher_begin(torchmesh::Mesher* mesher, const double* size, co
 }
 
 TM_EXPORT std::int32_t tm_mesher_advance(torchmesh::Mesher* mesher, std::int64_t steps) { return mesher->advance(steps); }
+
+TM_EXPORT void tm_mesher_fill(torchmesh::Mesher* mesher, std::int64_t count) { mesher->fill(count); }
 
 // The triangles of the mesh; of the new vertices, whose rows follow those of the outline, the positions (N, 2), sizes
 // (N,), and corners and weights (N, 3) in the background.  Returns the number of triangles, and writes that of new
