@@ -60,8 +60,9 @@ def simulated(
     begun = heat.heat(mesh, u)
     run = Run(mesh, u)
     for k in range(1, steps + 1):
+        goal = motion(run.mesh, k, steps)
         clock = time.process_time()
-        pieces, after = way(run.mesh, motion(run.mesh, k, steps))
+        pieces, after = way(run.mesh, goal)
         run.meshing.append(time.process_time() - clock)
         run.solving.append(0.0)
         if int(tm.quality(after).inverted[0]):

@@ -31,10 +31,10 @@ from ..optimising.targets import as_targets, narrow, narrow_quads, quad_targets_
 from ..status import Status
 from ..warping.boundary_path import BoundaryPath
 from ..warping.femwarp import (
-    boundary_goal,
     checked_hold,
     checked_new_points,
     femwarp,
+    refuse_tangled,
     unfit_goals,
     what_is_unfit_goal,
     with_held,
@@ -152,7 +152,7 @@ def _deform(
         still = spread(unfit, batch.point_offsets)[:, None]
         moving, target = batch.with_points(torch.where(still, 0.0, batch.points)), torch.where(still, 0.0, target)
     if not bool(unfit.all()):
-        boundary_goal(batch.select(~unfit), target[spread(~unfit, batch.point_offsets)], "deform")
+        refuse_tangled(batch.select(~unfit), "deform")
     target = torch.where(batch.fixed[:, None], target, moving.points)
     task = Task.of(moving, target, options, rigid, layer, unfit)
     longest = 1.0 if steps == "auto" else 1.0 / steps

@@ -137,8 +137,13 @@ def boundary_goal(batch: MeshBatch, new_points: Tensor, what: str) -> Tensor:
     if bool(unfit.any()):
         b = int(unfit.nonzero()[0])
         raise InvalidMeshError(f"mesh {b}: {what_is_unfit_goal(batch, target, b)}")
-    refuse_inverted(batch, f"; {what} starts from a valid mesh, so improve it first")
+    refuse_tangled(batch, what)
     return torch.where(batch.fixed[:, None], target, batch.points)
+
+
+def refuse_tangled(batch: MeshBatch, what: str) -> None:
+    """Raise InvalidMeshError, as `what` says, if a triangle is inverted."""
+    refuse_inverted(batch, f"; {what} starts from a valid mesh, so improve it first")
 
 
 def unfit_goals(batch: MeshBatch, target: Tensor) -> Tensor:

@@ -4,6 +4,7 @@
 // linear systems, SIAM, 2006, chapter 4).  There are no pivots: the matrices are those of Laplacians.
 #include "dissection.hpp"
 
+#include <array>
 #include <memory>
 #include <mutex>
 #include <tuple>
@@ -27,6 +28,7 @@ struct Analysis {
     std::vector<Index> rows;              // their rows
     std::vector<std::int64_t> reached;    // row i of L has the entries reached[i] ... reached[i + 1] - 1
     std::vector<Index> pattern;           // their columns, each after those that it depends on
+    std::vector<Index> last;              // the last column of the supernode of each: below it, all have the same rows
 
     explicit Analysis(const Matrix& k)
         : offsets(k.offsets, k.offsets + k.size + 1), columns(k.columns, k.columns + k.offsets[k.size]),
@@ -52,6 +54,11 @@ struct Analysis {
             }
             pattern.insert(pattern.end(), row.begin() + top, row.end());
             reached[i + 1] = std::int64_t(pattern.size());
+        }
+        last.resize(n);
+        for (Index j = n; j-- > 0;) {
+            const bool same = parent[j] == j + 1 && start[j + 1] == start[j + 2] + 1;
+            last[j] = same ? last[j + 1] : j;
         }
         for (Index i = 0; i < n; ++i) start[i + 1] += start[i];
         rows.resize(pattern.size());
@@ -97,6 +104,9 @@ class Last {
 
 Last last_analysis;
 
+// So many columns of a supernode eliminate a row at once.
+constexpr std::int64_t WIDEST = 8;
+
 // The factors of one mesh.
 struct Factors {
     Analysed analysed;
@@ -115,13 +125,18 @@ struct Factors {
             }
             double pivot = y[i];
             y[i] = 0;
-            for (std::int64_t r = a.reached[i]; r < a.reached[i + 1]; ++r) {
+            for (std::int64_t r = a.reached[i]; r < a.reached[i + 1];) {
                 const Index j = a.pattern[r];
-                const double value = y[j], entry = value / diagonal[j];
-                y[j] = 0;
-                for (std::int64_t p = a.start[j]; p < end[j]; ++p) y[a.rows[p]] -= lower[p] * value;
-                pivot -= entry * value;
-                lower[end[j]++] = entry;
+                const std::int64_t most = std::min<std::int64_t>({a.last[j] - j + 1, a.reached[i + 1] - r, WIDEST});
+                Index count = 1;
+                while (count < most && a.pattern[r + count] == j + count) ++count;
+                count = count == WIDEST ? WIDEST : count >= 4 ? 4 : count >= 2 ? 2 : 1;
+                const auto eliminate = count == WIDEST ? &Factors::eliminated<WIDEST>
+                                       : count == 4    ? &Factors::eliminated<4>
+                                       : count == 2    ? &Factors::eliminated<2>
+                                                       : &Factors::eliminated<1>;
+                pivot = (this->*eliminate)(j, y.data(), end.data(), pivot);
+                r += count;
             }
             diagonal[i] = pivot;
             if (pivot == 0) {
@@ -131,25 +146,66 @@ struct Factors {
         }
     }
 
+    // Eliminates the row y by COUNT columns of a supernode, from j on, of which end[j] is the end of what is known of
+    // column j, and gives back what is left of the pivot of the row.  Each number of y is what it is when the columns
+    // come one by one: it is only read and written once for all.
+    template <Index COUNT>
+    double eliminated(Index j, double* y, std::int64_t* end, double pivot) {
+        const Analysis& a = *analysed;
+        double value[COUNT];
+        const double* column[COUNT];
+        for (Index c = 0; c < COUNT; ++c) {
+            value[c] = y[j + c];
+            for (Index d = 0; d < c; ++d) value[c] -= column[d][c - d - 1] * value[d];
+            y[j + c] = 0;
+            column[c] = lower.data() + a.start[j + c];
+        }
+        const std::int64_t length = end[j] - a.start[j] - (COUNT - 1);
+        const Index* rows = a.rows.data() + a.start[j] + (COUNT - 1);
+        for (Index c = 0; c < COUNT; ++c) column[c] += COUNT - 1 - c;
+        for (std::int64_t p = 0; p < length; ++p) {
+            double sum = y[rows[p]];
+            for (Index c = 0; c < COUNT; ++c) sum -= column[c][p] * value[c];
+            y[rows[p]] = sum;
+        }
+        for (Index c = 0; c < COUNT; ++c) {
+            const double entry = value[c] / diagonal[j + c];
+            pivot -= entry * value[c];
+            lower[end[j + c]++] = entry;
+        }
+        return pivot;
+    }
+
     // x = K^-1 b for `columns` right-hand sides, both (size, columns).
-    void solve(const double* b, Index columns, double* x, std::vector<double>& y) const {
+    void solve(const double* b, Index columns, double* x) const {
+        Index c = 0;
+        for (; c + 1 < columns; c += 2) solve_some<2>(b + c, columns, x + c);
+        if (c < columns) solve_some<1>(b + c, columns, x + c);
+    }
+
+    // The same for the first COUNT of these columns.
+    template <Index COUNT>
+    void solve_some(const double* b, Index columns, double* x) const {
+        using Row = std::array<double, COUNT>;
         const auto& [order, start, rows] = std::tie(analysed->order, analysed->start, analysed->rows);
         const Index n = Index(order.size());
-        y.resize(std::size_t(n) * columns);
+        std::vector<Row> y(n);
         for (Index i = 0; i < n; ++i)
-            for (Index c = 0; c < columns; ++c) y[i * columns + c] = b[std::int64_t(order[i]) * columns + c];
-        for (Index j = 0; j < n; ++j)
+            for (Index c = 0; c < COUNT; ++c) y[i][c] = b[std::int64_t(order[i]) * columns + c];
+        for (Index j = 0; j < n; ++j) {
+            const Row value = y[j];
             for (std::int64_t p = start[j]; p < start[j + 1]; ++p)
-                for (Index c = 0; c < columns; ++c) y[std::size_t(rows[p]) * columns + c] -= lower[p] * y[j * columns + c];
-        for (Index j = n; j-- > 0;)
-            for (Index c = 0; c < columns; ++c) {
-                double sum = y[j * columns + c] / diagonal[j];
-                for (std::int64_t p = start[j]; p < start[j + 1]; ++p)
-                    sum -= lower[p] * y[std::size_t(rows[p]) * columns + c];
-                y[j * columns + c] = sum;
-            }
+                for (Index c = 0; c < COUNT; ++c) y[rows[p]][c] -= lower[p] * value[c];
+        }
+        for (Index j = n; j-- > 0;) {
+            Row sum = y[j];
+            for (Index c = 0; c < COUNT; ++c) sum[c] /= diagonal[j];
+            for (std::int64_t p = start[j]; p < start[j + 1]; ++p)
+                for (Index c = 0; c < COUNT; ++c) sum[c] -= lower[p] * y[rows[p]][c];
+            y[j] = sum;
+        }
         for (Index i = 0; i < n; ++i)
-            for (Index c = 0; c < columns; ++c) x[std::int64_t(order[i]) * columns + c] = y[i * columns + c];
+            for (Index c = 0; c < COUNT; ++c) x[std::int64_t(order[i]) * columns + c] = y[i][c];
     }
 };
 
@@ -189,9 +245,8 @@ TM_EXPORT void tm_solve_factorised(const void* handle, const double* right, std:
     using namespace torchmesh;
     const auto& systems = *static_cast<const Systems*>(handle);
     in_threads(std::int64_t(systems.factors.size()), threads, [&](std::int64_t m) {
-        std::vector<double> scratch;
         const std::int64_t at = systems.first[m] * columns;
-        systems.factors[m]->solve(right + at, columns, out + at, scratch);
+        systems.factors[m]->solve(right + at, columns, out + at);
     });
 }
 
