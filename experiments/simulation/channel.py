@@ -9,7 +9,7 @@ triangles on which the triangles are kept; the least angle; how often the mesh w
 time of a step in milliseconds, for meshing with transfers and for the solver.  The plots have drift, least angle and
 meshing over time.
 
-    deform, when        FEMWARP, and beyond 10 degrees flips and smoothing; L2 projection.  The way of the guide
+    deform, when        beyond 10 degrees flips and smoothing; L2 projection.  The way of the guide
     deform              flips and smoothing in each step; L2 projection, or interpolation
     deform, left        the same, values left on vertices that were moved
     deform, keep        triangles stay: ALE alone

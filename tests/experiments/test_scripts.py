@@ -18,6 +18,7 @@ NEEDS = {
     "experiments.quality.poisson": "skfem",
     "experiments.simulation.airfoil": "skfem",
     "experiments.simulation.channel": "skfem",
+    "experiments.simulation.history": "skfem",
 }
 
 
