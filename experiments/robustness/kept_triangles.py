@@ -2,6 +2,7 @@
 
     python -m experiments.robustness.kept_triangles --count 1000 --triangles 500
     python -m experiments.robustness.kept_triangles --count 0 --hard 300 1000
+    python -m experiments.robustness.kept_triangles --count 0 --hard 300 --radii 0.45 0.8 --degrees 100 170
 
 The first `--count` cases are feasible by construction (experiments/shared/feasible.py): valid meshes of letters,
 spirals, combs, annuli, turned annuli, bent domains and rectangles with holes, whose free vertices were then put at the
@@ -35,11 +36,11 @@ from torchmesh.diagnosing.certificates import certificates
 RADII, DEGREES = (0.3, 0.5, 0.6, 0.7), (60, 120, 150, 180)
 
 
-def hard_names(triangles: int) -> Iterator[str]:
-    """The names of the hard cases of about so many triangles."""
-    for inner in RADII:
-        for degrees in DEGREES:
-            yield f"ring {inner}-{triangles}-{degrees}"
+def hard_names(triangles: int, radii: Sequence[float] = RADII, degrees: Sequence[int] = DEGREES) -> Iterator[str]:
+    """The names of the hard cases of about so many triangles: rings of these inner radii and turns, and the others."""
+    for inner in radii:
+        for turn in degrees:
+            yield f"ring {inner:g}-{triangles}-{turn}"
     for family in ("mapped", "wound"):
         for value in FAMILIES[family].values:
             for seed in (0, 1):
@@ -80,6 +81,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = arguments.parser(__doc__)
     parser.add_argument("--count", type=int, default=1000, help="number of cases that are feasible by construction")
     parser.add_argument("--hard", type=int, nargs="*", default=[], help="triangles of the hard cases, about")
+    parser.add_argument("--radii", type=float, nargs="+", default=RADII, help="inner radii of the rings of --hard")
+    parser.add_argument("--degrees", type=int, nargs="+", default=DEGREES, help="degrees by which they turn")
     arguments.add_sizes(parser, 500)
     arguments.add_cache(parser)
     arguments.add_out(parser, "kept_triangles")
@@ -94,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         work += [(name, lambda n: feasible.case(n).tangled) for name in names]
         known |= set(names)
     for triangles in given.hard:
-        work += [(name, lambda n: hard(n, given.cache)) for name in hard_names(triangles)]
+        work += [(name, lambda n: hard(n, given.cache)) for name in hard_names(triangles, given.radii, given.degrees)]
     with record.open("a") as out:
         for name, made in work:
             if name in done:

@@ -10,7 +10,7 @@ import torch
 import torchmesh as tm
 from experiments.shared import feasible
 from torchmesh.bench import boundary
-from torchmesh.diagnosing.no_place import no_place, vertex_without_place
+from torchmesh.diagnosing.no_place import PlaceOptions, no_place, vertex_without_place
 from torchmesh.diagnosing.no_place_check import check_no_place
 from torchmesh.diagnosing.no_place_steps import NoPlace
 from torchmesh.learning.outlines import bent_band, laid_along
@@ -54,6 +54,22 @@ def test_a_disc_of_few_layers_does_not_reach_round_the_bends_of_a_band(impossibl
     assert problem.kind is tm.ProblemKind.NO_PLACE
     assert problem.kind.proves
     assert isinstance(problem.proof, NoPlace)
+
+
+def test_lines_from_fixed_vertices_prove_it_where_those_between_cells_are_too_many():
+    """A thin ring that turned: a vertex with neighbours on both circles has no place that sees all of them."""
+    mesh = meshes.ring(sectors=48, layers=2, inner=0.8, outer=1.0)
+    points = mesh.points.clone()
+    turn, inner = torch.tensor(2.3, dtype=torch.float64), torch.arange(len(points)) < 48
+    turned = points @ torch.stack([turn.cos(), turn.sin(), -turn.sin(), turn.cos()]).view(2, 2)
+    mesh = tm.relax(mesh.with_points(torch.where(inner[:, None], turned, points)))
+    few = PlaceOptions(most_lines=3_000)
+    proof = vertex_without_place(mesh, few)
+    assert proof is not None
+    assert check_no_place(*arrays(mesh), proof) == []
+    assert all(bool(mesh.fixed[step.neighbour]) for step in proof.steps)
+    # Too few lines even for these: nothing is proved.
+    assert vertex_without_place(mesh, PlaceOptions(most_lines=100)) is None
 
 
 def test_steps_that_do_not_hold_are_found(impossible):

@@ -51,10 +51,10 @@ class PlaceOptions:
     """
 
     cuts: int = 1
-    most_lines: int = 15_000
+    most_lines: int = 25_000
     most_parts: int = 450
     most_work: int = 20_000_000
-    each: tuple[int, float, int] = (10, 0.5, 20_000)
+    each: tuple[int, float, int] = (40, 0.5, 20_000)
     vague: float = 0.3
     tries: int = 3
 
@@ -125,10 +125,11 @@ class _Search:
             if (other, one) not in self.apex:
                 self.near[other].append(one)
         self.free = np.unique(triangles[~fixed[triangles]]).tolist()
-        chords = Cells(self.xy, cells, lines)
-        self.runs = [chords.from_cell(cell) for cell in range(len(cells))]
+        self.chords = Cells(self.xy, cells, lines)
         held = {u for v in self.free for u in self.near[v] if fixed[u]} & set(cells.ravel().tolist())
-        self.runs_of = {u: chords.from_corner(u) for u in sorted(held)}
+        self.runs_of = {u: self.chords.from_corner(u) for u in sorted(held)}
+        # The runs from each cell, once lines from fixed vertices have proved nothing.
+        self.runs: list[list[Run]] = []
         self.steps: list[Step] = []
         self.levels: list[Level] = []
 
@@ -162,19 +163,28 @@ class _Search:
 
     def level(self, places: list[Place], home: np.ndarray, corners: np.ndarray) -> None:
         """Go on with these parts."""
-        whole = len(places[0]) == 1
-        rows = {int(cell): np.flatnonzero(home == cell) for cell in np.unique(home)}
-        joined = np.zeros((len(home), len(home)), bool)
-        for cell, here in rows.items():
-            joined[np.ix_(here, here)] = True
-            reached = self.reached(self.runs[cell], corners[here], rows, corners, whole)
-            joined[here] |= reached
+        rows = _by_cell(home)
         seen = {
             u: self.reached(runs, self.xy[u][None, None], rows, corners, False)[0] for u, runs in self.runs_of.items()
         }
-        self.levels.append(Level(places, home, corners, joined & joined.T, seen))
+        self.levels.append(Level(places, home, corners, np.ones((len(home), 0), bool), seen))
         self.hulls: dict[int, np.ndarray] = {}
         self.support: dict[tuple[int, int], np.ndarray] = {}
+
+    def join(self) -> bool:
+        """Look which parts straight lines join; False if lines are too many."""
+        level = self.levels[-1]
+        try:
+            self.runs = self.runs or [self.chords.from_cell(cell) for cell in range(len(self.cells))]
+        except TooMany:
+            return False
+        rows, whole = _by_cell(level.home), len(level.places[0]) == 1
+        joined = np.zeros((len(level.home), len(level.home)), bool)
+        for cell, here in rows.items():
+            joined[np.ix_(here, here)] = True
+            joined[here] |= self.reached(self.runs[cell], level.corners[here], rows, level.corners, whole)
+        level.joined = joined & joined.T
+        return True
 
     def reached(
         self, runs: list[Run], start: np.ndarray, rows: dict[int, np.ndarray], corners: np.ndarray, whole: bool
@@ -209,6 +219,8 @@ class _Search:
                     self.revised(v, u)
             if not self.has[v].any():
                 return v
+        if not self.join():
+            return None
         waiting = {v: int(self.has[v].sum()) for v in self.free}
         while waiting and self.work > 0:
             u = min(waiting, key=waiting.__getitem__)
@@ -286,6 +298,11 @@ class _Search:
             points = np.unique(self.levels[-1].corners[self.has[v]].reshape(-1, 2), axis=0)
             self.hulls[v] = points[_on_hull(points)] if len(points) > 6 else points
         return self.hulls[v]
+
+
+def _by_cell(home: np.ndarray) -> dict[int, np.ndarray]:
+    """The parts of each cell."""
+    return {int(cell): np.flatnonzero(home == cell) for cell in np.unique(home)}
 
 
 def _padded(ends: tuple[tuple[int, ...], ...]) -> np.ndarray:

@@ -38,7 +38,7 @@ class Level:
     places   their names (N,)
     home     (N,) the cell of each
     corners  (N, 3, 2) in a unit of the domain's extent
-    joined   (N, N) bool, a straight line joins them
+    joined   (N, N) bool, a straight line joins them; (N, 0) before anybody has looked
     seen     by fixed vertex, (N,) bool, a straight line joins it to them
     """
 

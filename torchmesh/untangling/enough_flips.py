@@ -60,7 +60,7 @@ class FlipSearch:
     patience  flips without fewer inverted triangles than ever before, after which these trials end
     tabu      so many of the last edges that came by a flip are not flipped
     near      single flips are tried only if no more triangles than this are inverted after a descent
-    back      takings back of flips that are tried at most from one list, in the same way
+    back      takings back of flips that are tried at most from one list; for a larger mesh fewer, by the root
     shortened  other ways to the same triangles are looked for if a list has no more flips than this
     size      see there
     ways      how areas are pushed
@@ -167,7 +167,7 @@ class _Search:
         self.order = list[np.ndarray]()
         fewer = max(1.0, len(mesh.triangles) / options.size)
         self.descents = options.descents[: max(2, math.ceil(len(options.descents) / fewer))]
-        self.trials, self.back = int(options.trials / fewer), max(8, int(options.back / fewer))
+        self.trials, self.back = int(options.trials / fewer), max(8, int(options.back / math.sqrt(fewer)))
         self.start = self.anew = _State((), mesh.points, int((~upright(mesh)).sum()))
         if self.start.inverted:
             self.anew = self.pushed((), self.wiring, None, 1)

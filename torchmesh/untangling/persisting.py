@@ -12,8 +12,9 @@
                    weight.  A sum of squares rests where a few triangles pay for many; growing weights make that no
                    resting place (as in Morris, The breakout method for escaping from local minima, AAAI 1993)
 
-Each mesh is worked on alone, from the Tutte embedding (`relax`), and from where it was.  The first way that makes it
-valid ends the work; otherwise the positions with the fewest inverted triangles count.
+Each mesh is worked on alone, from the Tutte embedding (`relax`), from a start by way of a circle (`overlay`), and from
+where it was.  The first way that makes it valid ends the work; otherwise the positions with the fewest inverted
+triangles count.
 """
 
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ from ..optimising.targets import ideal
 from .continuation import next_epsilon
 from .local_size import local_size
 from .options import NewtonWays
+from .overlay import overlaid
 
 # The place of the rest shapes among the numbers of sweeps.
 _REST = -1
@@ -139,7 +141,10 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     if task.give(task.scaled(embedded)):
         return best
     first = sizes[0]
-    ways = [(embedded, _pushed, first), (embedded, _lifted, first)]
+    over = overlaid(mesh, free)
+    ways = [(embedded, _pushed, first)]
+    ways += [(over, _pushed, sweeps) for sweeps in options.size_sweeps[:2] if over is not None]
+    ways += [(embedded, _lifted, first)]
     ways += [(embedded, _regularised, sweeps) for sweeps in sizes]
     if not torch.equal(embedded, mesh.points):
         ways += [(mesh.points, _pushed, first), (mesh.points, _regularised, first)]
@@ -148,7 +153,8 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     tries = options.weightings
     if rest is not None and tries:
         tries = ((_REST, *tries[0][1:]), *tries)
-    any(_weighted(task, task.scaled(embedded), *each) for each in tries)
+    starts = [embedded] if over is None else [over, embedded]
+    any(_weighted(task, task.scaled(start), *each) for each in tries for start in starts)
     return best
 
 

@@ -1,0 +1,87 @@
+r"""A start inside the domain for meshes of a disc: by way of a circle, where both mesh and domain are valid.
+
+      the mesh               on a circle               the domain, triangulated
+      on a circle            the domain                with its boundary's vertices only
+      .-----.                .-----.                   +--+  +--+
+     / \ | / \              / \  /| \                  |\ |  | /|      A vertex lies in a cell on the circle, and goes
+    |---v---|      over    |   \/ |  |      to         | \+--+/ |      to the same position in that cell of the domain.
+     \ / | \ /              \  /\ | /                  |  v    \|
+      '-----'                '-----'                   +--------+
+
+Every free vertex at the mean of its neighbours makes a mesh valid whose boundary is convex (Tutte, How to draw a graph,
+1963; Floater, Parametric tilings and scattered data approximation, 1998), and any triangulation of a polygon is valid
+on a circle.  The map between is one to one, so that vertices are in the domain and in order; only edges may cut across
+its boundary.  For long bands this is a much better start than means of neighbours in the domain itself.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..mesh.batch import MeshBatch
+from ..mesh.connectivity import boundary_edges
+from ..optimising.laplacian import harmonic_extension
+
+# So many pairs of a vertex and a cell are looked at together.
+_PAIRS = 4_000_000
+
+
+def overlaid(mesh: MeshBatch, free: Tensor) -> Tensor | None:
+    """(V, 2) positions of one mesh, by way of a circle; None unless it is a disc whose boundary is fixed, and simple.
+
+    free  (V,) bool, the vertices that move: all but those of the boundary
+    """
+    from ..triangulating.arrays import Obstacle
+    from ..triangulating.polygon import loops_of
+    from ..triangulating.polygon_triangulation import triangulate_polygon
+
+    boundary = boundary_edges(mesh.triangles, mesh.twin).numpy()
+    used = torch.zeros_like(free).index_fill_(0, mesh.triangles.ravel(), True)
+    if len(boundary) != int((used & ~free).sum()) or bool(free[torch.from_numpy(boundary)].any()):
+        return None
+    loops = loops_of(boundary)
+    inside = int((used & free).sum())
+    if (
+        len(loops) != 1
+        or inside + len(boundary) - (3 * len(mesh.triangles) + len(boundary)) // 2 + len(mesh.triangles) != 1
+    ):
+        return None
+    points = mesh.points.to(torch.float64)
+    work = triangulate_polygon(points.numpy().copy(), loops, np.ones(len(points)))
+    if isinstance(work, Obstacle):
+        return None
+    angle = 2 * np.pi * np.arange(len(boundary)) / len(boundary)
+    circle = torch.zeros_like(points)
+    circle[torch.from_numpy(loops[0])] = torch.from_numpy(np.stack([np.cos(angle), np.sin(angle)], 1))
+    one = torch.ones(len(mesh.triangles), dtype=torch.float64)
+    there = harmonic_extension(mesh.triangles, (one, one, one), ~free, circle, mesh.point_offsets)
+    moves = (used & free).nonzero().squeeze(1)
+    over = points.clone()
+    over[moves] = through_cells(there[moves], circle, points, torch.from_numpy(work.corners))
+    return over.to(mesh.points)
+
+
+def through_cells(at: Tensor, circle: Tensor, domain: Tensor, cells: Tensor) -> Tensor:
+    """(N, 2) where the points `at` (N, 2) go by the map that takes each cell from the circle to the domain.
+
+    circle, domain  (V, 2) the vertices of the cells here and there; cells (C, 3)
+
+    A point that by rounding is in no cell goes with the nearest one.
+    """
+    a, b, c = (circle[cells[:, k]] for k in range(3))
+    found = torch.empty_like(at)
+    step = max(1, _PAIRS // len(cells))
+    for first in range(0, len(at), step):
+        p = at[first : first + step, None]
+        weight = torch.stack([_double_area(b, c, p), _double_area(c, a, p), _double_area(a, b, p)], -1)
+        weight = weight / weight.sum(-1, keepdim=True)
+        cell = weight.amin(-1).nan_to_num(-torch.inf).argmax(1)
+        part = weight[torch.arange(len(cell)), cell].clamp_min(0)
+        part = part / part.sum(-1, keepdim=True)
+        found[first : first + step] = (part[:, :, None] * domain[cells[cell]]).sum(1)
+    return found
+
+
+def _double_area(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+    u, w = b - a, c - a
+    return u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
