@@ -4,9 +4,9 @@
     python experiments/robustness/check_certificates.py FILE ...    (without torchmesh)
 
 A file holds one JSON object a line (or one in all), as torchmesh writes them: points, triangles, fixed vertices and
-certificates.  This program, with experiments/shared/certified, imports nothing of torchmesh; it reads JSON and computes
-with fractions.  Its claim is: with these triangles and fixed vertices no positions of the other vertices make all
-triangles turn to the left.
+certificates.  Reports of `torchmesh improve --report` are read, too.  This program, with experiments/shared/certified,
+imports nothing of torchmesh; it reads JSON and computes with fractions.  Its claim is: with these triangles and fixed
+vertices no positions of the other vertices make all triangles turn to the left.
 
 What it relies on.  Upright triangles cover each point as often as the boundary goes round it to the left (the degree of
 a map).  So if the boundary consists of loops of fixed vertices that meet neither themselves nor each other, one of
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 if not __package__:  # run by its path: what it is made of is found from the root
@@ -43,17 +44,31 @@ KINDS = {
 
 def check(data: dict) -> list[str]:
     """What is wrong with the certificates of a mesh; an empty list: it is proved that the mesh cannot be valid."""
+    if not data["certificates"]:
+        return ["there is no certificate"]
     try:
         mesh = Mesh(data)
     except Wrong as wrong:
         return [str(wrong)]
-    wrongs = [] if data["certificates"] else ["there is no certificate"]
+    wrongs = []
     for given in data["certificates"]:
         try:
             KINDS[given["kind"]](mesh, given)
         except (Wrong, KeyError) as wrong:
             wrongs.append(f"{given.get('kind')}: {wrong}")
     return wrongs
+
+
+def _objects(path: Path) -> Iterator[dict]:
+    """The meshes of a file with their certificates."""
+    text = path.read_text()
+    try:
+        whole = [json.loads(text)]
+    except ValueError:
+        whole = [json.loads(line) for line in filter(str.strip, text.splitlines())]
+    for data in whole:
+        # A report has meshes that were proved impossible, or none.
+        yield from [data] if "certificates" in data else data.get("proofs", [{"certificates": []}])
 
 
 def main(paths: list[str] | None = None) -> int:
@@ -63,9 +78,8 @@ def main(paths: list[str] | None = None) -> int:
         sys.exit(0 if paths else 2)
     failed = 0
     for path in paths:
-        for number, line in enumerate(filter(str.strip, Path(path).read_text().splitlines()), 1):
-            data = json.loads(line)
-            name = data.get("case", f"{path}, line {number}")
+        for number, data in enumerate(_objects(Path(path)), 1):
+            name = data.get("case", f"{path}, object {number}")
             wrongs = check(data)
             failed += bool(wrongs)
             kinds = ", ".join(dict.fromkeys(given["kind"] for given in data["certificates"]))

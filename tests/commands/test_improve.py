@@ -16,6 +16,7 @@ from children import interrupted_at, started
 from command_line import Outcome, inverted, is_one_clear_line, names
 from layered import round_body
 
+from experiments.robustness import check_certificates
 from torchmesh import quality, read, write
 from torchmesh.commands import console
 from torchmesh.errors import MeshIOError
@@ -67,6 +68,26 @@ def test_improve_says_so_when_a_mesh_cannot_be_made_valid(call, folder):
     report = json.loads((folder / "r.json").read_text())
     assert report["valid"] is False
     assert report["after"]["inverted"] == left
+
+
+def test_what_is_impossible_is_told_with_its_reason_its_flips_and_a_proof_that_another_program_checks(
+    call, folder, capsys
+):
+    mesh = meshes.grid(4, 4)
+    mesh.points[20] = torch.tensor([0.78125, 0.21875])
+    write(folder / "dented.vtk", mesh)
+    done = call("improve", "dented.vtk", "out.vtk", "--topology", "keep", "--report", "r.json")
+    assert done.status == 1
+    assert "has three fixed vertices, and is not upright" in done.err
+    assert "1 flip is enough to make it possible: 15-21 (the fewest that were found, an upper bound)" in done.err
+    capsys.readouterr()
+    assert check_certificates.main([str(folder / "r.json")]) == 0
+    assert capsys.readouterr().out == "dented.vtk: proved: fixed triangle\n"
+    # With edges that flip the corner is no fault, and nothing is proved.
+    assert call("improve", "dented.vtk", "out.vtk", "--report", "r.json").status == 0
+    assert "proofs" not in json.loads((folder / "r.json").read_text())
+    assert check_certificates.main([str(folder / "r.json")]) == 1
+    assert "there is no certificate" in capsys.readouterr().out
 
 
 def test_improve_keeps_triangles_when_told(call, folder):

@@ -7,7 +7,7 @@ import contextlib
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from ..batches.file_improvement import ImprovedFile
     from ..files.source import Source
     from ..files.time_series import SeriesDraft
+    from ..improving.options import ImproveOptions
     from ..improving.report import Report
     from ..mesh.batch import MeshBatch
     from ..mesh.measure import Quality
@@ -86,7 +87,12 @@ ReferenceOption = Annotated[
     ),
 ]
 ReportOption = Annotated[
-    Path | None, typer.Option(metavar="FILE.json", help="Write what was done, step by step.", show_default=False)
+    Path | None,
+    typer.Option(
+        metavar="FILE.json",
+        help="Write what was done, step by step, and proofs of what is impossible.",
+        show_default=False,
+    ),
 ]
 PlotOption = Annotated[
     Path | None,
@@ -166,6 +172,8 @@ def improve(
             "seconds": seconds,
         }
         document |= _of_the_file(improved, draft, fields.value) | columns | _outcome(improved)
+        if report is not None:
+            document |= _proofs(improved, options, source.name)
         _write(improved, draft, report, document, plot, source.name)
     if not quiet:
         console.print_comparison(f"{target}, {seconds:.2f} s", columns)
@@ -193,6 +201,29 @@ def _columns(improved: "ImprovedFile") -> dict[str, dict[str, Any]]:
         "before": console.record(improved.given.batch, improved.before, curved_counts(improved.given)),
         "after": console.record(join(improved.meshes), improved.report.quality, improved.curved),
     }
+
+
+def _proofs(improved: "ImprovedFile", options: "ImproveOptions", name: str) -> dict[str, Any]:
+    """Of meshes that were found impossible, as a whole or in part: why, as data that another program can check.
+
+    experiments/robustness/check_certificates.py is such a program, and reads the report.
+    """
+    from ..diagnosing.certificates import certificates
+    from ..diagnosing.diagnosis import diagnose
+    from ..mesh.interfaces import holding
+    from ..status import Status
+
+    topology: Literal["keep", "flip"] = "flip" if options.may_flip else "keep"
+    proofs = []
+    for m, status in enumerate(improved.report.status.tolist()):
+        if status not in (Status.INFEASIBLE, Status.PARTLY):
+            continue
+        mesh = holding(improved.given.batch[m], options.interfaces)
+        found = certificates(mesh, diagnose(mesh, topology, thorough=True))
+        if found["certificates"]:
+            case = name if len(improved.meshes) == 1 else f"{name}, {improved.given.names()[m]}"
+            proofs.append({"case": case, **found})
+    return {"proofs": proofs} if proofs else {}
 
 
 def _outcome(improved: "ImprovedFile") -> dict[str, Any]:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 # What is said of a tangled mesh that might be mended if its interfaces could move.
 INTERFACES_HELD = "; its interfaces are held where they are: interfaces='free' (--interfaces free) lets them move"
 
-# Problems of one mesh that are told; the others are counted.
-_TOLD = 5
+# Problems of one mesh that are told, and edges whose flips would help; the others are counted.
+_TOLD, _FLIPS_TOLD = 5, 40
 
 
 def find_faults(state: State, run: Runner, o: ImproveOptions) -> State:
@@ -90,7 +90,7 @@ def _with_enough_flips(state: State) -> State:
     for b in range(len(state)):
         found = None if b in hopeless or int(state.status[b]) == Status.NOT_FINITE else enough_flips(state.mesh[b])
         if found is not None:
-            notes[b] = f"; {found.text()}"
+            notes[b] = f"; {found.text(_FLIPS_TOLD)}"
     return state.noted(notes)
 
 

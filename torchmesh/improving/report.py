@@ -203,8 +203,10 @@ def left_over(why: str, steps: list[Step], keep: bool) -> str:
     """The message of a mesh that ended tangled: why, what is left, what was tried, and if triangles stay, a hint."""
     tried = dict.fromkeys(step.stage for step in steps[1:])
     text = f"{why}; {steps[-1].inverted} inverted triangles are left after {', '.join(tried)}"
-    hint = ": these triangles may have no valid places; topology 'flip' may change their edges"
-    return text + hint if keep else text
+    hint = ": these triangles may have no valid places"
+    if "newton" in tried:
+        hint += " (neither such places nor a proof that there are none were found)"
+    return f"{text}{hint}; topology 'flip' may change their edges" if keep else text
 
 
 def _plain(value: Any) -> Any:

@@ -160,7 +160,7 @@ def way_between(start: Wiring, end: Wiring, longest: int = 4, round_about: int =
             if flips:
                 made += flips
                 found = True
-                if crossings > 1:
+                if not stay:
                     break
         crossings, stay = (1, goal) if found else (crossings + 1, stay)
         if crossings > longest and stay and round_about > 0:
