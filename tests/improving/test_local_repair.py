@@ -154,6 +154,8 @@ def test_the_neighbourhood_is_what_a_walk_by_sets_finds(kind, picks, rings, thro
     points = mesh.points.clone()
     points[corners[:, 0]] += throw
     place = neighbourhood(points, mesh.triangles, damage, rings)
+    assert neighbourhood(points, mesh.triangles, damage, rings, len(place.triangles)) is not None
+    assert neighbourhood(points, mesh.triangles, damage, rings, len(place.triangles) - 1) is None
     vertices, rim, taken, across = slow_neighbourhood(mesh.triangles, damage.tolist(), rings)
     assert place.vertices.tolist() == sorted(vertices)
     assert place.vertices[place.shared].tolist() == sorted(rim)

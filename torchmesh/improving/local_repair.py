@@ -171,10 +171,10 @@ def _round_damage(
         return None
     faces = batch.triangles[t] - v.start if v.start else batch.triangles[t]
     rings = options.rings + round(options.rings_by_width * len(bad) ** 0.5)
-    near = neighbourhood(batch.points[v], faces, bad, rings)
-    inside = len(near.triangles)
-    if inside > options.share * count:
+    near = neighbourhood(batch.points[v], faces, bad, rings, int(options.share * count))
+    if near is None:
         return None
+    inside = len(near.triangles)
     ratio = q.inverse_mean_ratio[t].index_fill(0, near.triangles, 0.0)
     total = float(segment_sum(ratio, torch.tensor([0, count], device=ratio.device)))
     return (near, total, float(ratio.max())) if total <= options.excellent * (count - inside) else None

@@ -29,8 +29,16 @@ class Neighbourhood:
     across: Tensor
 
 
-def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor, rings: int) -> Neighbourhood:
+# How many rings are taken before it is seen whether they are too many already.
+_RINGS_AT_ONCE = 8
+
+
+def neighbourhood(
+    points: Tensor, triangles: Tensor, damage: Tensor, rings: int, most: int | None = None
+) -> Neighbourhood | None:
     """The neighbourhood that consists of damaged triangles and `rings` rings of vertices round them.
+
+    It is None if it has more than `most` triangles.
 
     points     (V, 2), with which vertices that cannot be near are left out of the search; the result does not depend
                on them
@@ -45,13 +53,19 @@ def neighbourhood(points: Tensor, triangles: Tensor, damage: Tensor, rings: int)
     reach = max(rings * float(longest.median()), extent / _CELLS)
     while True:
         near = _nearby(x - low[0], y - low[1], extent, triangles[damage], reach)
-        if (found := _grown(triangles, damage, rings, near)) is not None:
+        found = _grown(triangles, damage, rings, near, len(triangles) if most is None else most)
+        if isinstance(found, Neighbourhood):
             return found
+        if found:
+            return None
         reach *= 2
 
 
-def _grown(triangles: Tensor, damage: Tensor, rings: int, near: Tensor) -> Neighbourhood | None:
-    """The neighbourhood if all its vertices are `near` (V,) bool, so that no triangle at them is missed; else None."""
+def _grown(triangles: Tensor, damage: Tensor, rings: int, near: Tensor, most: int) -> Neighbourhood | bool:
+    """The neighbourhood if all its vertices are `near` (V,) bool, so that no triangle at them is missed.
+
+    If not, whether it has more than `most` triangles for certain.
+    """
     # The work is done on the near triangles and vertices, with rows of their own; the result has rows of the mesh.
     faces = true_rows(touching(triangles, near))
     here = take(triangles, faces)
@@ -60,12 +74,17 @@ def _grown(triangles: Tensor, damage: Tensor, rings: int, near: Tensor) -> Neigh
     number[rows] = torch.arange(len(rows), device=near.device)
     here = number[here]
     free = torch.zeros_like(rows, dtype=torch.bool).index_fill_(0, number[triangles[damage]].reshape(-1), True)
-    for _ in range(rings - 1):
-        free = corners_of(here, touching(here, free), len(rows))
+    for ring in range(1, rings):
+        taken = touching(here, free)
+        if ring % _RINGS_AT_ONCE == 0 and int(taken.sum()) > most:
+            return True
+        free = corners_of(here, taken, len(rows))
     taken = touching(here, free)
+    if int(taken.sum()) > most:
+        return True
     mine = corners_of(here, taken, len(rows))
     if not bool(near[rows[mine]].all()):
-        return None
+        return False
     outside = here[~taken]
     edges = torch.cat([outside[:, [0, 1]], outside[:, [1, 2]], outside[:, [2, 0]]])
     across = edges[mine[edges].all(1)]

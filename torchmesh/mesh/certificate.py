@@ -56,6 +56,11 @@ def same_frame(
     wanted = before.constrained_edges
     if len(wanted):
         present, size = connectivity.edges(after.triangles, twin), len(after.points)
+        if vertex_map is None:
+            # Only edges between ends of constrained edges can be such edges.
+            ends = torch.zeros(count, dtype=torch.bool, device=wanted.device)
+            ends[wanted.reshape(-1)] = True
+            present = present[ends[present[:, 0]] & ends[present[:, 1]]]
         # Of a remeshed batch, only its own constrained edges can be parts of the old ones.
         kept = present if vertex_map is None else after.constrained_edges
         kept = kept[torch.isin(keys_of(kept, size), keys_of(present, size))]
