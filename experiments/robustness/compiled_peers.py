@@ -21,7 +21,6 @@ the table is written into the README, with the day, the processor and the versio
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import os
 import resource
@@ -41,7 +40,6 @@ from experiments.shared import arguments, feasible, tables
 from experiments.shared.tangles import tangle
 from experiments.speed import readme
 from torchmesh.bench import exact_check
-from torchmesh.bench.provenance import provenance
 
 Array = np.ndarray
 # This script, as the README's mark names it.
@@ -173,17 +171,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def for_the_readme(rows: list[dict], given: argparse.Namespace) -> str:
     """The table, and above it the command and what it ran on."""
-    note = provenance()
-    versions = ", ".join(f"{name} {note['versions'][name]}" for name in ("python", "torchmesh-untangle", "torch"))
     peers = "".join(f" --{name} PROGRAM" for name in ("foldover", "lifted") if getattr(given, name))
+    command = f"python -m experiments.robustness.compiled_peers{peers} --limit {given.limit:g}"
     count = len({row["case"] for row in rows}) // len(given.triangles)
-    day, limit = datetime.date.today().isoformat(), f"{given.limit:g}"
-    return (
-        f"With the triangles kept, `python -m experiments.robustness.compiled_peers{peers} --limit {limit}` on\n"
-        f"{day}, commit {note['commit'] or 'unknown'}, {note['processor']}, {versions}, {note['kernels']} loops:\n"
-        f"{count} maps and turned rings of each size, beside the authors' C++ (g++ -O3). Seconds of processor time on\n"
-        f"one thread, at most {limit} for a program.\n\n{table_of(rows)}"
-    )
+    return readme.beside_peers(command, count, given.limit) + table_of(rows)
 
 
 def table_of(rows: list[dict]) -> str:
