@@ -182,7 +182,7 @@ def table_of(rows: list[dict]) -> str:
     sizes = sorted({row["triangles"] for row in rows})
     titles = ("method", *(t for n in sizes for t in (f"valid of {n:,} triangles", "seconds, median", "slowest")))
     lines = []
-    for method in dict.fromkeys(row["method"] for row in rows):
+    for method in sorted({row["method"] for row in rows}, reverse=True):
         cells = [method]
         for n in sizes:
             some = [row for row in rows if row["method"] == method and row["triangles"] == n]

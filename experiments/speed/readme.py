@@ -81,9 +81,10 @@ def beside_peers(command: str, count: int, limit: float) -> str:
     """The lines above the table beside compiled peers: what ran, and on what."""
     note = about_this_run()
     versions = ", ".join(f"{name} {note['versions'][name]}" for name in ("python", "torchmesh-untangle", "torch"))
+    commit = note["commit"] or "unknown"
     return (
         f"With the triangles kept, `{command}` on\n"
-        f"{note['day']}, commit {note['commit'] or 'unknown'}, {note['processor']}, {versions}, {note['kernels']} loops:\n"
+        f"{note['day']}, commit {commit}, {note['processor']}, {versions}, {note['kernels']} loops:\n"
         f"{count} maps and turned rings of each size, beside the authors' C++ (g++ -O3). Seconds of processor time on\n"
         f"one thread, at most {limit:g} for a program.\n\n"
     )
