@@ -1,5 +1,7 @@
 """The matrices and systems of an L2 projection, compiled: the twins, to rounding, of `transferring.projection`."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,10 +16,15 @@ def summed(entries: Coordinates, size: int) -> Coordinates:
     """The entries of a matrix of `size` rows in order, those at one position added up in the order they came in."""
     rows, columns, weights = (np.ascontiguousarray(v) for v in entries)
     assert rows.dtype == columns.dtype == np.int64
-    offsets, out = np.empty(size + 1, np.int64), (np.empty(len(rows), np.int64), np.empty(len(rows)))
+    return _summed("tm_summed_rows", (rows, columns, weights), len(rows), len(rows), size)
+
+
+def _summed(name: str, given: Sequence[np.ndarray], count: int, room: int, size: int) -> Coordinates:
+    """The `size` rows, with room for so many entries, that a function of the library makes of `count` rows given."""
+    offsets, out = np.empty(size + 1, np.int64), (np.empty(room, np.int64), np.empty(room))
     used = call(
-        "tm_summed_rows", INT64, *(ADDRESS(v.ctypes.data) for v in (rows, columns, weights)), INT64(len(rows)),
-        INT64(size), *(ADDRESS(v.ctypes.data) for v in (offsets, *out)),
+        name, INT64, *(ADDRESS(v.ctypes.data) for v in given), INT64(count), INT64(size),
+        *(ADDRESS(v.ctypes.data) for v in (offsets, *out)),
     )  # fmt: skip
     return np.repeat(np.arange(size), np.diff(offsets)), out[0][:used].copy(), out[1][:used].copy()
 
@@ -29,17 +36,13 @@ def mixed_mass(
     moments: np.ndarray,
     sign: np.ndarray,
 ) -> Coordinates:
-    """The entries of R, nine for each of the pairs (P,) of triangles after and before.
+    """The entries of R, nine for each of the pairs (P,) of triangles after and before, as `summed` has them.
 
     after, before  x (V,), y (V,) and triangles (T, 3)
     moments, sign  (P, 6) and (P,), as in `transferring.projection.mixed_mass`
     """
     given = [np.ascontiguousarray(v) for v in (*after, *before, *pairs, moments, sign)]
-    shape = (len(sign), 9)
-    out = np.empty(shape, np.int64), np.empty(shape, np.int64), np.empty(shape)
-    call("tm_mixed_mass", None, *(ADDRESS(v.ctypes.data) for v in given), INT64(len(sign)),
-         *(ADDRESS(v.ctypes.data) for v in out))  # fmt: skip
-    return out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
+    return _summed("tm_mixed_mass", given, len(sign), 9 * len(sign), len(after[0]))
 
 
 def solved(

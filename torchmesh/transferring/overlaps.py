@@ -79,15 +79,16 @@ def overlaps(before: Side, after: Side, wanted: np.ndarray | None = None, moment
         return Overlaps(none, none, np.zeros(0), np.zeros((0, 6)) if moments else None)
 
     def clipped(start: int) -> Overlaps:
-        some = slice(start, start + chunk)
-        pairs = upright[0], i[some], upright[1], j[some]
+        here, there = i[start : start + chunk], j[start : start + chunk]
+        pairs = upright[0], here, upright[1], there
         area, integrals = _clipped(*pairs, moments) if library() is None else shared_areas(*pairs, moments)
-        smaller = np.minimum(sizes[0][i[some]], sizes[1][j[some]])
+        smaller = np.minimum(sizes[0].take(here), sizes[1].take(there))
         area = np.minimum(area, smaller)
-        shared = area > _NOTHING * smaller
+        shared = np.flatnonzero(area > _NOTHING * smaller)
         return Overlaps(
-            i[some][shared], j[some][shared], area[shared], None if integrals is None else integrals[shared]
-        )
+            here.take(shared), there.take(shared), area.take(shared),
+            None if integrals is None else integrals.take(shared, 0),
+        )  # fmt: skip
 
     if len(starts) == 1:
         return clipped(0)

@@ -93,7 +93,8 @@ def mixed_mass(before: Side, after: Side, shared: Overlaps, sign: np.ndarray) ->
     if library() is not None:
         here, there = ((side.x, side.y, side.triangles) for side in (after, before))
         made = projection.mixed_mass(here, there, (shared.after, shared.before), shared.moments, sign)
-        return SparseRows.summed([Entries(*made)], shape)
+        row, column, weight = (torch.from_numpy(v) for v in made)
+        return SparseRows(row, column, weight, shape)
     origin = before.triangles[shared.before, 0]
     hats = [_hats(side, rows, origin, before) for side, rows in ((after, shared.after), (before, shared.before))]
     m1, mx, my, mxx, mxy, myy = shared.moments.T * sign

@@ -25,18 +25,9 @@ struct Hats {
     }
 };
 
-}  // namespace
-}  // namespace torchmesh
-
-// Sums up entries (count,) at equal rows and columns.  The result has `size` compressed rows, their columns in order,
-// and room for `count` entries; their number is returned.
-TM_EXPORT std::int64_t tm_summed_rows(const std::int64_t* rows, const std::int64_t* columns, const double* weights,
-                                      std::int64_t count, std::int64_t size, std::int64_t* offsets,
-                                      std::int64_t* out_columns, double* out_values) {
-    using namespace torchmesh;
-    Rows found(size, [&](const auto& take) {
-        for (std::int64_t i = 0; i < count; ++i) take(rows[i], columns[i], weights[i]);
-    });
+// Adds up what each row has at equal columns; the result is as that of tm_summed_rows.
+std::int64_t summed_rows(Rows& found, std::int64_t* offsets, std::int64_t* out_columns, double* out_values) {
+    const std::int64_t size = std::int64_t(found.start.size()) - 1;
     std::int64_t used = 0;
     offsets[0] = 0;
     for (std::int64_t r = 0; r < size; ++r) {
@@ -51,28 +42,47 @@ TM_EXPORT std::int64_t tm_summed_rows(const std::int64_t* rows, const std::int64
     return used;
 }
 
-// The nine entries of each pair (pairs,) of triangles that overlap: rows, columns and values (pairs, 9).  x and y are
-// coordinates of vertices, `moments` (pairs, 6) integrals over the overlaps about the first corner before.
-TM_EXPORT void tm_mixed_mass(const double* x, const double* y, const std::int64_t* triangles, const double* old_x,
-                             const double* old_y, const std::int64_t* old_triangles, const std::int64_t* after,
-                             const std::int64_t* before, const double* moments, const double* sign, std::int64_t pairs,
-                             std::int64_t* rows, std::int64_t* columns, double* values) {
-    using torchmesh::Hats;
-    for (std::int64_t i = 0; i < pairs; ++i) {
-        const std::int64_t *t = triangles + 3 * after[i], *s = old_triangles + 3 * before[i];
-        const Hats a(x, y, t, old_x[s[0]], old_y[s[0]]), b(old_x, old_y, s, old_x[s[0]], old_y[s[0]]);
-        double m[6];
-        for (int k = 0; k < 6; ++k) m[k] = moments[6 * i + k] * sign[i];
-        for (int p = 0; p < 3; ++p)
-            for (int q = 0; q < 3; ++q) {
-                rows[9 * i + 3 * p + q] = t[p];
-                columns[9 * i + 3 * p + q] = s[q];
-                values[9 * i + 3 * p + q] =
-                    a.f[p] * b.f[q] * m[0] + (a.f[p] * b.fx[q] + a.fx[p] * b.f[q]) * m[1] +
-                    (a.f[p] * b.fy[q] + a.fy[p] * b.f[q]) * m[2] + a.fx[p] * b.fx[q] * m[3] +
-                    (a.fx[p] * b.fy[q] + a.fy[p] * b.fx[q]) * m[4] + a.fy[p] * b.fy[q] * m[5];
-            }
-    }
+}  // namespace
+}  // namespace torchmesh
+
+// Sums up entries (count,) at equal rows and columns.  The result has `size` compressed rows, their columns in order,
+// and room for `count` entries; their number is returned.
+TM_EXPORT std::int64_t tm_summed_rows(const std::int64_t* rows, const std::int64_t* columns, const double* weights,
+                                      std::int64_t count, std::int64_t size, std::int64_t* offsets,
+                                      std::int64_t* out_columns, double* out_values) {
+    using namespace torchmesh;
+    Rows found(size, [&](const auto& take) {
+        for (std::int64_t i = 0; i < count; ++i) take(rows[i], columns[i], weights[i]);
+    });
+    return summed_rows(found, offsets, out_columns, out_values);
+}
+
+// The mixed mass of pairs (pairs,) of triangles that overlap, nine entries for each, summed up as by tm_summed_rows.  x
+// and y are coordinates of vertices, `moments` (pairs, 6) integrals over the overlaps about the first corner before.
+TM_EXPORT std::int64_t tm_mixed_mass(const double* x, const double* y, const std::int64_t* triangles,
+                                     const double* old_x, const double* old_y, const std::int64_t* old_triangles,
+                                     const std::int64_t* after, const std::int64_t* before, const double* moments,
+                                     const double* sign, std::int64_t pairs, std::int64_t size, std::int64_t* offsets,
+                                     std::int64_t* out_columns, double* out_values) {
+    using namespace torchmesh;
+    Rows found(size);
+    for (std::int64_t i = 0; i < pairs; ++i)
+        for (int p = 0; p < 3; ++p) found.start[triangles[3 * after[i] + p] + 1] += 3;
+    found.fill([&](const auto& take) {
+        for (std::int64_t i = 0; i < pairs; ++i) {
+            const std::int64_t *t = triangles + 3 * after[i], *s = old_triangles + 3 * before[i];
+            const Hats a(x, y, t, old_x[s[0]], old_y[s[0]]), b(old_x, old_y, s, old_x[s[0]], old_y[s[0]]);
+            double m[6];
+            for (int k = 0; k < 6; ++k) m[k] = moments[6 * i + k] * sign[i];
+            for (int p = 0; p < 3; ++p)
+                for (int q = 0; q < 3; ++q)
+                    take(t[p], s[q],
+                         a.f[p] * b.f[q] * m[0] + (a.f[p] * b.fx[q] + a.fx[p] * b.f[q]) * m[1] +
+                             (a.f[p] * b.fy[q] + a.fy[p] * b.f[q]) * m[2] + a.fx[p] * b.fx[q] * m[3] +
+                             (a.fx[p] * b.fy[q] + a.fy[p] * b.fx[q]) * m[4] + a.fy[p] * b.fy[q] * m[5]);
+        }
+    });
+    return summed_rows(found, offsets, out_columns, out_values);
 }
 
 // Solves A x = right for the systems first[m] ... first[m + 1] - 1 of compressed rows, whose diagonal stands apart.

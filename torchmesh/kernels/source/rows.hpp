@@ -64,12 +64,20 @@ struct Rows {
     std::vector<std::int64_t> start;
     std::vector<Entry> entries;
 
+    // No entries yet: start[r + 1] is to become the number of those of row r, before `fill`.
+    explicit Rows(std::int64_t size) : start(size + 1, 0) {}
+
     // each(take) calls take(row, column, value) for every entry, each time in the same order.
     template <class Each>
-    Rows(std::int64_t size, const Each& each) : start(size + 1, 0) {
+    Rows(std::int64_t size, const Each& each) : Rows(size) {
         each([&](std::int64_t row, std::int64_t, double) { ++start[row + 1]; });
-        for (std::int64_t r = 0; r < size; ++r) start[r + 1] += start[r];
-        entries.resize(start[size]);
+        fill(each);
+    }
+
+    template <class Each>
+    void fill(const Each& each) {
+        for (std::size_t r = 0; r + 1 < start.size(); ++r) start[r + 1] += start[r];
+        entries.resize(start.back());
         std::vector<std::int64_t> next(start.begin(), start.end() - 1);
         each([&](std::int64_t row, std::int64_t column, double value) {
             entries[next[row]++] = {std::int32_t(column), value};
