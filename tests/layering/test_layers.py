@@ -56,6 +56,18 @@ def test_what_a_deformation_flattens_is_no_layer():
     assert len(find_layers(cases)) == 0
 
 
+def test_strips_that_come_together_end_where_they_are_no_longer_thin():
+    """Over four wall edges of 1, rows of height 0.1 whose quadrilaterals become narrower by 0.06 from row to row."""
+    rows, columns = torch.meshgrid(torch.arange(21), torch.arange(5), indexing="ij")
+    width = (1 - 0.06 * rows).clamp_min(0.05).double()
+    points = torch.stack([(columns - 2) * width, 0.1 * rows.double()], 2).reshape(-1, 2)
+    a = (5 * rows + columns)[:-1, :-1].reshape(-1)
+    corners = torch.cat([torch.stack([a, a + 1, a + 6], 1), torch.stack([a, a + 6, a + 5], 1)])
+    found = find_layers(MeshBatch.from_arrays(points, corners))
+    # Row k is 1.03 - 0.06 k wide on average, and as long as that is 0.2 it is thin.
+    assert torch.equal(torch.bincount(found.row), torch.tensor([0] + [4] * 13))
+
+
 def test_two_or_three_rows_that_a_motion_left_are_no_layer():
     assert len(find_layers(flat_layer(columns=9, rows=3, growth=1.3))) == 0
     assert int(find_layers(flat_layer(columns=9, rows=5, growth=1.3)).row.max()) == 5
