@@ -6,17 +6,18 @@ import pytest
 import torch
 from both_loops import need_compiled_loops
 from exact import edge_counts, inverted
-from meshes import TANGLED, delaunay, dragged_interface, grid, holed_arrays, jittered, moved_hole, ring
+from meshes import TANGLED, delaunay, disturbed, dragged_interface, grid, holed_arrays, jittered, moved_hole, ring
 
 from torchmesh import MeshBatch, join, quality
-from torchmesh.mesh.connectivity import boundary_edges
+from torchmesh.mesh.connectivity import boundary_edges, triangle_components
+from torchmesh.mesh.kept_edges import constrained_half_edges
 from torchmesh.remeshing.anew_in_rows import InRowsOptions, anew_in_rows
 
 ANY_SIZE = InRowsOptions(own_share=1.0)
 
 
 def anew(mesh, options=None):
-    return anew_in_rows(mesh, quality(mesh), options)
+    return anew_in_rows(mesh, quality(mesh), options=options)
 
 
 def edges_of(mesh):
@@ -94,14 +95,46 @@ def test_boundaries_that_bound_nothing_are_left_alone(name):
     assert made is None or inverted(made) == 0
 
 
-def test_two_materials_and_two_parts_are_left_alone():
-    assert anew(dragged_interface(), ANY_SIZE) is None
-    one, other = ring(), ring()
+def labels(mesh):
+    return triangle_components(mesh.triangles, mesh.twin, constrained_half_edges(mesh))
+
+
+def test_two_materials_keep_their_triangles():
+    mesh = dragged_interface()
+    made = anew(mesh, ANY_SIZE)
+    assert inverted(mesh) > 0
+    assert inverted(made) == 0
+    assert int(labels(mesh).max()) == 1
+    assert torch.equal(labels(made), labels(mesh))
+    assert {frozenset(edge) for edge in mesh.constrained_edges.tolist()} <= set(edge_counts(made.triangles))
+    # The edges of the interface stay where they are.
+    held = mesh.constrained_edges.unique()
+    assert torch.equal(made.points[held], mesh.points[held])
+
+
+def test_only_tangled_regions_are_made_anew():
+    mesh = dragged_interface()
+    label, bad = labels(mesh), ~quality(mesh).upright
+    counts = torch.bincount(label[bad], minlength=2) / torch.bincount(label)
+    assert float(counts.min()) < float(counts.max())
+    made = anew_in_rows(mesh, quality(mesh), float(counts.min()), ANY_SIZE)
+    stays = label == int(counts.argmin())
+    assert torch.equal(made.triangles[stays], mesh.triangles[stays])
+    assert torch.equal(made.points[made.triangles[stays]], mesh.points[mesh.triangles[stays]])
+    assert inverted(made) == int(bad[stays].sum())
+    assert anew_in_rows(mesh, quality(mesh), 1.0, ANY_SIZE) is None
+    assert anew_in_rows(mesh, quality(mesh), None, replace(ANY_SIZE, regions=1)) is None
+
+
+def test_parts_keep_their_vertices():
+    one = disturbed(ring(), 0.15, 3)
     apart = MeshBatch.from_arrays(
-        torch.cat([one.points, other.points + 9]), torch.cat([one.triangles, other.triangles + len(one.points)])
-    )
-    assert anew(one, ANY_SIZE) is not None
-    assert anew(apart, ANY_SIZE) is None
+        torch.cat([ring().points, ring().points + 9]), torch.cat([one.triangles, one.triangles + len(one.points)])
+    ).with_points(torch.cat([one.points, one.points + 9]))
+    made = anew(apart, ANY_SIZE)
+    assert inverted(apart) > 0
+    assert inverted(made) == 0
+    assert torch.equal(made.triangles.amax(1) < len(one.points), apart.triangles.amax(1) < len(one.points))
     assert anew(MeshBatch.from_arrays([[0.0, 0], [1, 0], [0, 1]], [[0, 1, 2]])) is None
 
 

@@ -43,7 +43,7 @@ from .state import State
 if TYPE_CHECKING:
     from ..untangling.averaging import AverageOptions
 
-_PLACED_ANEW = "; its free vertices got new positions, by the sizes of the boundary"
+_PLACED_ANEW = "; free vertices got new positions, by the sizes of the boundary"
 
 Settings = TypeVar("Settings", UntangleOptions, SmoothOptions, polishing.PolishOptions, "AverageOptions")
 
@@ -136,8 +136,11 @@ def retriangulate() -> Stage:
     return stage
 
 
-def place_anew() -> Stage:
-    """Gives the free vertices new positions, from the boundary alone; meshes where that cannot be done stay."""
+def place_anew(share: float) -> Stage:
+    """Gives the free vertices of tangled regions new positions, from their boundary alone, where that can be done.
+
+    share  regions in which no more than this share of the triangles is inverted stay
+    """
     from ..remeshing.anew_in_rows import anew_in_rows, is_quick
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
@@ -145,10 +148,13 @@ def place_anew() -> Stage:
         for b in range(len(state) if is_quick(state.mesh) else 0):
             one = torch.arange(len(state)) == b
             before = state.select(one)
-            mesh = anew_in_rows(before.mesh, before.quality)
+            mesh = anew_in_rows(before.mesh, before.quality, share)
             after = None if mesh is None else before.at(mesh)
-            if after is not None and bool(after.valid):
-                after = replace(after, anew=torch.ones_like(after.valid)).noted({0: _PLACED_ANEW})
+            # Where regions lie over each other, an edge of the one may be an edge of the other already.
+            if after is None or int((after.mesh.twin < 0).sum()) != int((before.mesh.twin < 0).sum()):
+                continue
+            if bool(after.quality.inverted < before.quality.inverted):
+                after = replace(after, anew=after.valid).noted({0: _PLACED_ANEW})
                 state, kept = state.put(one, after), kept | one
         return state, Work.done(state, kept=kept)
 

@@ -19,7 +19,7 @@ class StartAnew:
     """Which tangled meshes get new positions for all free vertices (`remeshing.anew_in_rows`).
 
     large   meshes of fewer triangles are untangled from where they are
-    share   so are meshes in which fewer of the triangles are inverted than this part
+    share   so are meshes, and regions of them, in which fewer of the triangles are inverted than this part
     """
 
     large: int = 5_000

@@ -147,7 +147,7 @@ def start_anew(state: State, run: Runner, o: ImproveOptions) -> State:
     at = state.tangled & ~state.faulty & ~state.impossible & (triangles >= limits.large)
     at = at & (state.quality.inverted > limits.share * triangles)
     at = at & (counts_from_offsets(state.mesh.quad_offsets) == 0)
-    return run("place-anew", place_anew(), state, at)[0] if bool(at.any()) else state
+    return run("place-anew", place_anew(limits.share), state, at)[0] if bool(at.any()) else state
 
 
 def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:

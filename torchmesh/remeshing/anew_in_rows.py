@@ -43,6 +43,7 @@ class InRowsOptions:
     own_share  a mesh that has them at more than this share of the vertices among good triangles is left alone.  Holes
                that FEMWARP moved with the mesh round them left up to 0.33, 0.07 to 0.1 most of them; meshes with a wake
                refined by 1.5, 2 and 4 had 0.53, 0.45 and 0.74
+    regions    meshes of more regions to be made anew are left alone, as each of them takes a look at the whole mesh
     """
 
     front: FrontOptions = field(default_factory=FrontOptions)
@@ -55,6 +56,7 @@ class InRowsOptions:
     good: float = 1.05
     own_size: float = 1.5
     own_share: float = 0.35
+    regions: int = 20
 
 
 def is_quick(batch: MeshBatch) -> bool:
@@ -62,21 +64,48 @@ def is_quick(batch: MeshBatch) -> bool:
     return is_compiled(batch.points)
 
 
-def anew_in_rows(mesh: MeshBatch, known: Quality, options: InRowsOptions | None = None) -> MeshBatch | None:
-    """A batch of one mesh with its free vertices at new positions and other triangles; None where that cannot be done.
+def anew_in_rows(
+    mesh: MeshBatch, known: Quality, share: float | None = None, options: InRowsOptions | None = None
+) -> MeshBatch | None:
+    """A batch of one mesh with free vertices at new positions and other triangles; None where that cannot be done.
 
-    Fixed vertices, the ends of constrained edges, and boundary and constrained edges stay, and so do triangles that
-    constrained edges part from all free vertices.  It cannot be done where the boundary crosses, touches or lies over
-    itself, in a mesh of several parts, where constrained edges divide the free vertices, and where the good triangles
-    have sizes of their own.  Whether the result is valid in the precision of the positions, the caller finds out.
+    Parts, and regions that constrained edges close off, are made anew one by one.  Fixed vertices, the ends of
+    constrained edges, and boundary and constrained edges stay, and so do regions without free vertices.  A region is
+    left alone where its boundary crosses, touches or lies over itself, and where its good triangles have sizes of their
+    own.  Whether the result is valid in the precision of the positions, the caller finds out.
 
     known  the quality of the mesh
+    share  regions in which no more than this share of the triangles is inverted are left alone; None: no region is
     """
-    options = options or InRowsOptions()
-    rows = _open_triangles(mesh)
-    outline = None if rows is None else _Outline.of(mesh, rows, options)
-    mesher = None if outline is None or not bool(outline.free.any()) else outline.mesher()
-    if rows is None or outline is None or mesher is None or mesher.fault:
+    options, made = options or InRowsOptions(), None
+    for rows in _regions(mesh, known, share, options):
+        done = _remade(mesh if made is None else made, rows, known, options)
+        made = made if done is None else done
+    return made
+
+
+def _regions(mesh: MeshBatch, known: Quality, share: float | None, options: InRowsOptions) -> list[Tensor]:
+    """The triangles of each region to be made anew."""
+    walls = constrained_half_edges(mesh) if len(mesh.constrained_edges) else None
+    region = triangle_components(mesh.triangles, mesh.twin, walls)
+    count = torch.bincount(region)
+    at = torch.bincount(region[touching(mesh.triangles, _loose(mesh))], minlength=len(count)) > 0
+    if share is not None:
+        at &= torch.bincount(region[~known.upright], minlength=len(count)) > share * count
+    regions = true_rows(at).tolist()
+    return [true_rows(region == k) for k in regions] if len(regions) <= options.regions else []
+
+
+def _loose(mesh: MeshBatch) -> Tensor:
+    """(V,) bool, the vertices that are neither fixed nor ends of constrained edges."""
+    return ~(mesh.fixed | interface_vertices(mesh))
+
+
+def _remade(mesh: MeshBatch, rows: Tensor, known: Quality, options: InRowsOptions) -> MeshBatch | None:
+    """The mesh with the region of the triangles `rows` (T',) made anew; None where that cannot be done."""
+    outline = _Outline.of(mesh, rows, options)
+    mesher = outline.mesher()
+    if mesher.fault:
         return None
     size = outline.sizes(mesher, len(rows), options)
     if _has_own_sizes(mesh, known, outline, mesher, size, options):
@@ -98,14 +127,14 @@ def anew_in_rows(mesh: MeshBatch, known: Quality, options: InRowsOptions | None 
 
 @dataclass(frozen=True, eq=False)
 class _Outline:
-    """What a mesher is given: the part of a mesh in which vertices are free.
+    """What a mesher is given: one region of a mesh.
 
     unit      a power of two near its size
     points    (V, 2) float64 in that unit
     free      (V,) bool, the vertices that may move
     vertices  (N,) int64, ascending, the vertices that may not, and a sample of the others
     held      (N,) bool, those that may not
-    edges, segments  (E, 2) and (K, 2) int64, rows of `vertices`: the boundary of the part, and constrained edges in it
+    edges, segments  (E, 2) and (K, 2) int64, rows of `vertices`: boundary of the region, and constrained edges in it
     frames    those of the mesh
     """
 
@@ -123,8 +152,8 @@ class _Outline:
         """The outline of the triangles `rows` (T',) of a batch of one mesh."""
         unit, count = centre_and_unit(mesh.points, mesh.point_offsets)[1], len(mesh.points)
         mine = torch.zeros(len(mesh.triangles), dtype=torch.bool).index_fill_(0, rows, True)
-        held = mesh.fixed | interface_vertices(mesh)
-        free = corners_of(mesh.triangles, mine, count) & ~held
+        here = corners_of(mesh.triangles, mine, count)
+        free, still = here & _loose(mesh), here & ~_loose(mesh)
         h = (3 * rows[:, None] + torch.arange(3)).reshape(-1)
         across = mesh.twin[h]
         inner = (across >= 0) & mine[across.clamp_min(0) // 3]
@@ -135,7 +164,6 @@ class _Outline:
         # multiplier is that of Knuth's multiplicative hashing.
         share = max(options.least_sample, options.sample * len(edges)) / max(int(free.sum()), 1)
         bits = (torch.arange(count) * 2654435761) % 2**32
-        still = corners_of(mesh.triangles, mine, count) & held
         vertices = true_rows(still | (free & (bits < share * 2**32)))
         row = torch.full((count,), -1)
         row[vertices] = torch.arange(len(vertices))
@@ -158,17 +186,6 @@ class _Outline:
         area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
         room = (area / size[background].mean(1).square()).sum() * (4 / SQRT3)
         return size * (options.fuller * room / triangles).sqrt()
-
-
-def _open_triangles(mesh: MeshBatch) -> Tensor | None:
-    """(T',) int64 the triangles that no constrained edges part from the free vertices; None: these are divided."""
-    if int(triangle_components(mesh.triangles, mesh.twin).max()) > 0:
-        return None
-    if not len(mesh.constrained_edges):
-        return torch.arange(len(mesh.triangles))
-    region = triangle_components(mesh.triangles, mesh.twin, constrained_half_edges(mesh))
-    regions = region[touching(mesh.triangles, ~(mesh.fixed | interface_vertices(mesh)))].unique()
-    return true_rows(region == regions[0]) if len(regions) == 1 else None
 
 
 def _has_own_sizes(
