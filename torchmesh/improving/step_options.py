@@ -19,11 +19,12 @@ class StartAnew:
     """Which tangled meshes get new positions for all free vertices (`remeshing.anew_in_rows`).
 
     large   meshes of fewer triangles are untangled from where they are
-    share   so are meshes, and regions of them, in which fewer of the triangles are inverted than this part
+    share   so are meshes, and regions of them, in which fewer of the triangles are inverted than this part: there most
+            triangles can stay as they are
     """
 
     large: int = 5_000
-    share: float = 0.01
+    share: float = 0.02
 
     def __post_init__(self) -> None:
         _check_least(self, large=0, share=0)
