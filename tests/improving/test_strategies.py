@@ -103,7 +103,7 @@ def test_large_tangles_start_anew_unless_something_speaks_against_it():
 
 def test_a_mesh_starts_anew_in_a_batch_as_alone():
     batch = [meshes.moved_hole(), meshes.grid(), meshes.jittered(12, 11, cells=2.5), meshes.moved_hole(4.0)]
-    options = ImproveOptions(rounds=Rounds(anew=StartAnew(large=100)))
+    options = ImproveOptions(rounds=Rounds(anew=StartAnew(large=100, share=0.01)))
     whole, report = improve(join(batch), options)
     names = [{step.stage for step in steps} for steps in report.steps]
     assert ["place-anew" in of for of in names] == [True, False, False, True]
