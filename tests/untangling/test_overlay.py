@@ -12,6 +12,7 @@ from torchmesh.bench import boundary
 from torchmesh.learning.outlines import bent_band, laid_along, spiral_loop
 from torchmesh.untangling.options import NewtonWays, UntangleOptions
 from torchmesh.untangling.overlay import overlaid, through_cells
+from torchmesh.untangling.overlay_of_rings import overlaid_rings
 
 
 def laid(outline: np.ndarray, sectors: int = 40, layers: int = 5) -> tm.MeshBatch:
@@ -52,7 +53,7 @@ def test_a_cell_goes_affinely_and_what_is_just_outside_goes_with_the_nearest():
     cells = torch.tensor([[0, 1, 2], [0, 2, 3]])
     at = torch.cat([circle, circle[cells].mean(1), torch.tensor([[0.5, 0.5 + 1e-15]], dtype=torch.float64)])
     there = torch.cat([domain, domain[cells].mean(1), domain[:2].mean(0, keepdim=True)])
-    torch.testing.assert_close(through_cells(at, circle, domain, cells), there, atol=1e-12, rtol=0)
+    torch.testing.assert_close(through_cells(at, circle[cells], domain[cells]), there, atol=1e-12, rtol=0)
 
 
 def test_it_is_for_discs_with_a_simple_boundary_and_nothing_fixed_inside():
@@ -86,3 +87,50 @@ def test_a_long_spiral_is_untangled_from_it_by_pushing_areas_alone(monkeypatch):
     moved, info = tm.untangle(mesh, UntangleOptions(method="newton", newton=ways))
     assert inverted(moved) > 50
     assert info.status.tolist() == [tm.Status.STALLED]
+
+
+def ring_turned(radians: float, sectors: int, layers: int, inner: float) -> tm.MeshBatch:
+    """A ring whose inner circle has turned."""
+    mesh = meshes.ring(sectors, layers, inner, 1.0)
+    turn = torch.tensor(radians, dtype=torch.float64)
+    turned = mesh.points @ torch.stack([turn.cos(), turn.sin(), -turn.sin(), turn.cos()]).view(2, 2)
+    return tm.relax(
+        mesh.with_points(torch.where((torch.arange(len(mesh.points)) < sectors)[:, None], turned, mesh.points))
+    )
+
+
+def test_a_ring_that_has_not_turned_is_valid_by_way_of_a_cylinder_and_other_ways_round_are_not():
+    mesh = ring_turned(0.0, 24, 4, 0.5)
+    over = overlaid_rings(mesh, ~mesh.fixed)
+    assert [inverted(mesh.with_points(points)) == 0 for points in over] == [True, False]
+    for points in over:
+        assert torch.equal(points[mesh.fixed], mesh.points[mesh.fixed])
+        radius = points.norm(dim=1)
+        assert float(radius.min()) > 0.5 * np.cos(np.pi / 24) - 1e-9
+        assert float(radius.max()) < 1 + 1e-9
+
+
+def test_a_ring_that_turned_half_way_round_goes_both_ways():
+    """One way is the mirror image of the other: the mesh has no sense of rotation but for its diagonals."""
+    mesh = ring_turned(np.pi, 24, 4, 0.5)
+    over = overlaid_rings(mesh, ~mesh.fixed)
+    assert len(over) == 2
+    # Halfway between the circles the ways differ by a turn of about 180 degrees.
+    middle = torch.arange(48, 72)
+    (ax, ay), (bx, by) = (points[middle].unbind(1) for points in over)
+    apart = torch.atan2(ax * by - ay * bx, ax * bx + ay * by).abs()
+    assert float(apart.min()) > 2.5
+
+
+def test_no_cylinder_for_what_is_no_ring_or_too_bent_for_its_cells():
+    disc = meshes.disc(12, 3)
+    assert overlaid_rings(disc, ~disc.fixed) == []
+    ring = meshes.ring()
+    held = ring.fixed.clone()
+    held[int((~ring.fixed).nonzero()[0])] = True
+    assert overlaid_rings(replace(ring, fixed=held), ~held) == []
+    # A hole far from the middle of a long domain: cells at its ends touch the outer boundary alone.
+    points = ring.points.clone()
+    outer = points.norm(dim=1) > 1.29
+    points[outer] *= torch.tensor([6.0, 1.0], dtype=points.dtype)
+    assert overlaid_rings(ring.with_points(points), ~ring.fixed) == []

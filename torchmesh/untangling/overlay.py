@@ -56,21 +56,22 @@ def overlaid(mesh: MeshBatch, free: Tensor) -> Tensor | None:
     one = torch.ones(len(mesh.triangles), dtype=torch.float64)
     there = harmonic_extension(mesh.triangles, (one, one, one), ~free, circle, mesh.point_offsets)
     moves = (used & free).nonzero().squeeze(1)
+    cells = torch.from_numpy(work.corners)
     over = points.clone()
-    over[moves] = through_cells(there[moves], circle, points, torch.from_numpy(work.corners))
+    over[moves] = through_cells(there[moves], circle[cells], points[cells])
     return over.to(mesh.points)
 
 
-def through_cells(at: Tensor, circle: Tensor, domain: Tensor, cells: Tensor) -> Tensor:
-    """(N, 2) where the points `at` (N, 2) go by the map that takes each cell from the circle to the domain.
+def through_cells(at: Tensor, here: Tensor, there: Tensor) -> Tensor:
+    """(N, 2) where the points `at` (N, 2) go by the map that takes each cell from one position to another.
 
-    circle, domain  (V, 2) the vertices of the cells here and there; cells (C, 3)
+    here, there  (C, 3, 2) the corners of the cells
 
     A point that by rounding is in no cell goes with the nearest one.
     """
-    a, b, c = (circle[cells[:, k]] for k in range(3))
+    a, b, c = here.unbind(1)
     found = torch.empty_like(at)
-    step = max(1, _PAIRS // len(cells))
+    step = max(1, _PAIRS // len(here))
     for first in range(0, len(at), step):
         p = at[first : first + step, None]
         weight = torch.stack([_double_area(b, c, p), _double_area(c, a, p), _double_area(a, b, p)], -1)
@@ -78,7 +79,7 @@ def through_cells(at: Tensor, circle: Tensor, domain: Tensor, cells: Tensor) -> 
         cell = weight.amin(-1).nan_to_num(-torch.inf).argmax(1)
         part = weight[torch.arange(len(cell)), cell].clamp_min(0)
         part = part / part.sum(-1, keepdim=True)
-        found[first : first + step] = (part[:, :, None] * domain[cells[cell]]).sum(1)
+        found[first : first + step] = (part[:, :, None] * there[cell]).sum(1)
     return found
 
 

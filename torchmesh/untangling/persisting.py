@@ -17,6 +17,7 @@ where it was.  The first way that makes it valid ends the work; otherwise the po
 triangles count.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +38,13 @@ from .continuation import next_epsilon
 from .local_size import local_size
 from .options import NewtonWays
 from .overlay import overlaid
+from .overlay_of_rings import overlaid_rings
 
 # The place of the rest shapes among the numbers of sweeps.
 _REST = -1
+
+# From scaled positions, with the targets of so many sweeps: are all triangles upright in the end?
+_Way = Callable[["_Task", Tensor, int], bool]
 
 
 @dataclass
@@ -140,22 +145,43 @@ def _solve(mesh: MeshBatch, free: Tensor, options: NewtonWays, rest: Target | No
     sizes = options.size_sweeps if rest is None else (_REST, *options.size_sweeps)
     if task.give(task.scaled(embedded)):
         return best
-    first = sizes[0]
-    over = overlaid(mesh, free)
-    ways = [(embedded, _pushed, first)]
-    ways += [(over, _pushed, sweeps) for sweeps in options.size_sweeps[:2] if over is not None]
-    ways += [(embedded, _lifted, first)]
-    ways += [(embedded, _regularised, sweeps) for sweeps in sizes]
-    if not torch.equal(embedded, mesh.points):
-        ways += [(mesh.points, _pushed, first), (mesh.points, _regularised, first)]
-    if any(way(task, task.scaled(start), sweeps) for start, way, sweeps in ways):
+    over = list[Tensor]()
+    if any(way(task, task.scaled(start), sweeps) for start, way, sweeps in _ways(mesh, free, embedded, sizes, over)):
         return best
     tries = options.weightings
     if rest is not None and tries:
         tries = ((_REST, *tries[0][1:]), *tries)
-    starts = [embedded] if over is None else [over, embedded]
-    any(_weighted(task, task.scaled(start), *each) for each in tries for start in starts)
+    any(_weighted(task, task.scaled(start), *each) for each in tries for start in (*over[:1], embedded))
     return best
+
+
+def _ways(
+    mesh: MeshBatch, free: Tensor, embedded: Tensor, sizes: tuple[int, ...], over: list[Tensor]
+) -> Iterator[tuple[Tensor, _Way, int]]:
+    """Where to start, what to do, and the sweeps of the size field, one after the other.
+
+    embedded  the Tutte embedding
+    over      is filled with the starts by way of a circle or a cylinder, once they are wanted
+    """
+    first, own = sizes[0], [sweeps for sweeps in sizes if sweeps != _REST][:2]
+    yield embedded, _pushed, first
+    disc = overlaid(mesh, free)
+    if disc is not None:
+        over.append(disc)
+        for sweeps in own:
+            yield disc, _pushed, sweeps
+    yield embedded, _lifted, first
+    for sweeps in sizes:
+        yield embedded, _regularised, sweeps
+    if disc is None:
+        # Rings seldom need them.
+        over += overlaid_rings(mesh, free)
+        for start in over:
+            for sweeps in own:
+                yield start, _pushed, sweeps
+    if not torch.equal(embedded, mesh.points):
+        yield mesh.points, _pushed, first
+        yield mesh.points, _regularised, first
 
 
 def sizes_to_push(mesh: MeshBatch, options: NewtonWays) -> Tensor:
