@@ -18,7 +18,8 @@ from torchmesh import (
     minimum_angle,
     quality,
 )
-from torchmesh.improving.needed import beyond
+from torchmesh.improving.needed import beyond, meshes_beyond
+from torchmesh.mesh.ragged import segment_any
 from torchmesh.mesh.triangle import corners
 from torchmesh.mesh.triangle import minimum_angle as smallest_angles
 
@@ -153,3 +154,24 @@ def test_where_max_motion_cannot_be_had_the_message_says_so():
     assert report.valid.all()
     assert float(report.travel.max[0]) > 0.01
     assert f"a vertex is {float(report.travel.max[0]):.3g} local widths from where it was given" in report.messages[0]
+
+
+def test_the_meshes_beyond_a_bound_are_those_of_the_triangles_beyond_it():
+    """Poor triangles inside, at the boundary, at corners that force them, and inverted ones; and a good mesh."""
+    sharp = MeshBatch.from_arrays([[0, 0], [1, 0], [1, 0.05]], [[0, 1, 2]])
+    batch = join(
+        [
+            meshes.equilateral(),
+            meshes.jittered(8, 7, 0.3),
+            sharp,
+            meshes.moved_hole(),
+            meshes.scrambled(meshes.delaunay(40), 1),
+        ]
+    )
+    for bound in (Bound(angle=1.0), Bound(angle=20.0), Bound(ratio=1.3), Bound(angle=5.0, ratio=3.0)):
+        q = quality(batch)
+        for held in (None, batch.fixed[batch.triangles].any(1) & q.upright):
+            expected = segment_any(beyond(batch, q, bound, held), batch.triangle_offsets)
+            assert torch.equal(meshes_beyond(batch, q, bound, held), expected)
+    assert bool(expected.any())
+    assert not bool(expected.all())

@@ -204,8 +204,9 @@ def _notes(layers: Layers, owner: Tensor, points: Tensor, walls: Mapping[str, Te
     """
     keys = {name: keys_of(edges, len(points)) for name, edges in walls.items()}
     notes = {}
-    for b in owner.unique().tolist():
-        mine = layers.select(owner == b)
+    meshes = owner.unique().tolist()
+    for b in meshes:
+        mine = layers.select(owner == b) if len(meshes) > 1 else layers
         texts = [
             f"layer of {int(part.row.max())} at {_wall_text(part, points, keys)}, first height "
             f"{float(_columns(part, points).median()):.2g}: kept"
@@ -256,6 +257,8 @@ def _by_wall(layers: Layers) -> list[Layers]:
     first = layers.row == 1
     feet = layers.corners[first, :2]
     label = edge_components(feet, int(feet.max()) + 1)
+    if bool((label[feet] == label[feet[0, 0]]).all()):
+        return [layers]
     of_wall = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.int64, device=feet.device)
     of_wall[layers.wall[first]] = label[feet[:, 0]]
     which = of_wall[layers.wall]

@@ -27,7 +27,7 @@ from ..warping.boundary_path import first_flat
 from ..warping.stiffened import carried_stiffly
 from .deform_options import DeformOptions
 from .layered_motion import Path
-from .needed import beyond
+from .needed import meshes_beyond
 from .trail import Piece, longer
 
 
@@ -208,8 +208,7 @@ def _stepped(motion: Motion, trial: _Trial, options: DeformOptions) -> Motion:
     # `improve` does the same on arrival, and better.
     between = (reached < 1)[taken]
     if options.bound is not None and bool(between.any()):
-        bad = beyond(moved, quality(moved), options.bound, frozen_triangles(holding(moved)))
-        between &= segment_any(bad, moved.triangle_offsets)
+        between &= meshes_beyond(moved, quality(moved), options.bound, frozen_triangles(holding(moved)))
     if bool(between.any()):
         begun = part.select(between)
         # Which edges flip must not hang on rounding errors.

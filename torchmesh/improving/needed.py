@@ -6,6 +6,7 @@ corners that allow no better.
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -36,6 +37,26 @@ def beyond(
     unchangeable  (T,) bool, upright triangles that do not count
     limits        what the boundary allows at each vertex; None: `fan_limits` of the mesh
     """
+    few = _worse(mesh, q, bound, unchangeable)
+    bad = few.bad
+    if bool(bad.any()):
+        limits = limits_of(mesh) if limits is None else limits
+        those = replace(mesh, triangles=take(mesh.triangles, few.rows), _twin=None)
+        asked, most = asked_of(those, limits, math.radians(bound.angle), bound.ratio, bound.limit_share)
+        bad = (few.angle < asked) | (few.ratio > most)
+    return (~q.upright).index_put((few.rows,), bad)
+
+
+class _Worse(NamedTuple):
+    """The triangles `rows` (N,) that may be beyond a bound, their angles and ratios, and which are, boundary or not."""
+
+    rows: Tensor
+    angle: Tensor
+    ratio: Tensor
+    bad: Tensor
+
+
+def _worse(mesh: MeshBatch, q: Quality, bound: Bound, unchangeable: Tensor | None) -> _Worse:
     t = math.radians(bound.angle)
     # In triangles of a lower ratio than any with that angle has, no angle need be measured.
     least = min(least_ratio(t), bound.ratio) if t else bound.ratio
@@ -43,17 +64,25 @@ def beyond(
     if unchangeable is not None:
         worse &= ~unchangeable
     rows = true_rows(worse)
-    if not len(rows):
-        return ~q.upright
-    angle = smallest_angles(mesh, rows)
-    ratio = take(q.inverse_mean_ratio, rows)
-    bad = (angle < t) | (ratio > bound.ratio)
-    if bool(bad.any()):
-        limits = limits_of(mesh) if limits is None else limits
-        few = replace(mesh, triangles=take(mesh.triangles, rows), _twin=None)
-        asked, most = asked_of(few, limits, t, bound.ratio, bound.limit_share)
-        bad = (angle < asked) | (ratio > most)
-    return (~q.upright).index_put((rows,), bad)
+    angle, ratio = smallest_angles(mesh, rows), take(q.inverse_mean_ratio, rows)
+    return _Worse(rows, angle, ratio, (angle < t) | (ratio > bound.ratio))
+
+
+def meshes_beyond(mesh: MeshBatch, q: Quality, bound: Bound, unchangeable: Tensor | None = None) -> Tensor:
+    """(B,) bool: the meshes with triangles `beyond` the bound; arguments as there."""
+    few = _worse(mesh, q, bound, unchangeable)
+    if not bool(few.bad.any()):
+        return segment_any(~q.upright, mesh.triangle_offsets)
+    boundary = torch.zeros_like(mesh.fixed)
+    # What the boundary allows matters at the boundary alone, and takes longer to find out.
+    boundary[mesh.triangles.reshape(-1)[mesh.twin < 0]] = True
+    away = few.bad & ~boundary[take(mesh.triangles, few.rows)].any(1)
+    surely, perhaps = (
+        segment_any((~q.upright).index_put((few.rows,), some), mesh.triangle_offsets) for some in (away, few.bad)
+    )
+    if torch.equal(surely, perhaps):
+        return surely
+    return segment_any(beyond(mesh, q, bound, unchangeable), mesh.triangle_offsets)
 
 
 def limits_of(mesh: MeshBatch) -> tuple[Tensor, Tensor]:
@@ -68,8 +97,7 @@ def where_needed(job: Job, options: ImproveOptions) -> Job:
         return job
 
     def work(state: State, log: Log) -> State:
-        bad = beyond(state.mesh, state.quality, bound, state.unchangeable)
-        rest = state.running & ~segment_any(bad, state.mesh.triangle_offsets)
+        rest = state.running & ~meshes_beyond(state.mesh, state.quality, bound, state.unchangeable)
         if not bool(rest.any()):
             return job(state, log)
         done = state

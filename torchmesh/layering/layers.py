@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..kernels import geometry, layer_rows
 from ..mesh.batch import MeshBatch
-from ..mesh.connectivity import boundary_edges, heads, keys_of, next_in_triangle, previous_in_triangle, tails
+from ..mesh.connectivity import heads, keys_of, next_in_triangle, previous_in_triangle, tails
 from ..mesh.detached import loops_may_read
 from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import upright
@@ -100,11 +100,17 @@ class Layers:
 
         These are the edges that are neither constrained nor on the boundary.
         """
-        a, b, c, d = self.corners.unbind(1)
-        sides = [torch.stack(pair, 1) for pair in ((a, b), (b, c), (c, d), (d, a))]
-        keys = keys_of(torch.cat([*sides, self.diagonal]), len(batch.points))
-        held = torch.cat([batch.constrained_edges, boundary_edges(batch.triangles, batch.twin)])
-        keys = keys[~torch.isin(keys, keys_of(held, len(batch.points)))].unique()
+        half = (3 * self.triangles.reshape(-1, 1) + torch.arange(3, device=self.wall.device)).reshape(-1)
+        loose = batch.twin[half] >= 0
+        if len(batch.constrained_edges):
+            loose &= ~constrained_half_edges(batch)[half]
+        half = half[loose]
+        # Each of them is there from both sides, unless only one is in a layer.
+        once = torch.zeros(batch.triangles.numel(), dtype=torch.bool, device=half.device)
+        once[torch.minimum(half, batch.twin[half])] = True
+        half = true_rows(once)
+        ends = torch.stack([tails(batch.triangles)[half], heads(batch.triangles)[half]], 1)
+        keys = keys_of(ends, len(batch.points)).sort().values
         return torch.stack([keys // len(batch.points), keys % len(batch.points)], 1)
 
     def up_to(self, share: float) -> "Layers":
