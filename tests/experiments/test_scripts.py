@@ -17,6 +17,7 @@ PAGES = [*ROOT.glob("*.md"), *FOLDER.glob("*.md"), *(ROOT / "docs").rglob("*.md"
 NEEDS = {
     "experiments.quality.poisson": "skfem",
     "experiments.simulation.airfoil": "skfem",
+    "experiments.simulation.bodies": "skfem",
     "experiments.simulation.channel": "skfem",
     "experiments.simulation.history": "skfem",
 }
