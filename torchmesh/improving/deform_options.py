@@ -53,6 +53,8 @@ class DeformOptions:
     max_steps      the greatest number of steps
     when           only a mesh beyond this bound is flipped and smoothed after a step, and improved on arrival; one
                    within it has just followed its boundary.  None: as `improve.when` says, or every mesh is
+    rounds         with such a bound, the greatest number of rounds of flips and smoothing on arrival: the mesh goes on
+                   moving, and the fifth round and those after it gain a few thousandths of the inverse mean ratio
     smooth         the smoothing after each step.  Its targets govern the flips and the arrival, too, and those of
                    `improve.smooth` the steps
     improve        how the mesh is improved when it has arrived
@@ -72,6 +74,7 @@ class DeformOptions:
     smallest_step: float = 1e-4
     max_steps: int = 1000
     when: Bound | None = None
+    rounds: int = 4
     smooth: SmoothOptions = field(
         default_factory=lambda: SmoothOptions(power=1, max_iterations=10, energy_tolerance=1e-3)
     )
@@ -93,8 +96,9 @@ class DeformOptions:
                 raise ValueError(f"DeformOptions.{name} must be between 0 and 1, not {getattr(self, name)}")
         if not 0 <= self.stiffening <= 4:
             raise ValueError(f"DeformOptions.stiffening must be between 0 and 4, not {self.stiffening}")
-        if self.max_steps < 1:
-            raise ValueError(f"DeformOptions.max_steps must be at least 1, not {self.max_steps}")
+        for name in ("max_steps", "rounds"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"DeformOptions.{name} must be at least 1, not {getattr(self, name)}")
         if self.when is not None and not isinstance(self.when, Bound):
             raise ValueError(f"DeformOptions.when must be a Bound or None, not {self.when!r}")
         if self.topology == "keep" and self.improve.topology == "full":
@@ -125,10 +129,12 @@ class DeformOptions:
         tether = self.improve.max_motion
         if tether is None and self.improve.relocate == "auto" and self.improve.stays_near:
             tether = math.inf
+        rounds = self.improve.smooth_rounds
         return replace(
             self.improve,
             max_motion=tether,
             topology=self.improve.topology if self.may_flip else "keep",
             when=self.bound,
+            smooth_rounds=rounds if self.bound is None else min(rounds, self.rounds),
             smooth=replace(self.improve.smooth, targets=self.targets),
         )
