@@ -13,7 +13,6 @@ from file_runs import POSIX, TRAPS, contents
 
 from torchmesh import improve, improve_files, read, write
 
-ray = pytest.importorskip("ray")
 # Ray's own processes and its imports leave files and sockets to the garbage collector.
 pytestmark = [POSIX, pytest.mark.filterwarnings("ignore")]
 
@@ -21,6 +20,7 @@ pytestmark = [POSIX, pytest.mark.filterwarnings("ignore")]
 @pytest.fixture(scope="module")
 def traps(tmp_path_factory) -> Iterator[Path]:
     """A Ray of two processors whose workers fall into the traps."""
+    ray = pytest.importorskip("ray")
     folder = tmp_path_factory.mktemp("traps")
     (folder / "sitecustomize.py").write_text(TRAPS.format(folder=str(folder)))
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
@@ -52,4 +52,6 @@ def test_a_killed_worker_loses_nothing(tmp_path, traps):
     after, _ = improve(read(folder / "a" / "mesh.vtu"))
     for name in ("b/once.vtu", "b/mesh.vtu"):
         assert torch.equal(read(tmp_path / "out" / name).points, after.points)
+    import ray
+
     assert ray.is_initialized()  # what the caller has opened stays open

@@ -10,13 +10,20 @@ import pytest
 import torchmesh as tm
 from torchmesh.files.source import Source
 
-vtk = pytest.importorskip("vtk")
-numpy_support = pytest.importorskip("vtk.util.numpy_support")
+vtk = numpy_support = None
 
 POINTS = ((0, 0), (1, 0), (1, 1), (0, 1), (1.4, 0.5), (2, 0), (2, 1))
 FACES = ((0, 1, 4), (1, 2, 4), (1, 5, 6, 2), (2, 3, 4), (3, 0, 4))
 LINES = ((0, 1), (1, 5, 6))  # the second one is a polyline, of which we make two lines
 KINDS = (np.uint8, np.int8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64, np.float32, np.float64)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def judge() -> None:
+    """VTK, which takes a second to load: only the worker that runs these tests does."""
+    global vtk, numpy_support
+    vtk = pytest.importorskip("vtk")
+    numpy_support = pytest.importorskip("vtk.util.numpy_support")
 
 
 def added(where, name: str, values: np.ndarray) -> None:
