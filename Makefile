@@ -3,11 +3,11 @@ PYTHON ?= python3
 # A build for the CPU is enough and small; take another with `make TORCH=torch==... demo`.
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
-# One worker a processor and two more, since some tests wait for processes, each with one torch thread; a worker that has
+# One worker a processor and one more, since some tests wait for processes, each with one torch thread; a worker that has
 # nothing left takes tests over from another.
 # A worker's modules of tests follow one another, so that most fixtures of a module are made once.
 # The tests start some hundred processes: bytecode is kept, so that not each of them compiles the package anew.
-WORKERS := $(shell $(PYTHON) -c "import os; print(min(8, (os.cpu_count() or 1) + 2))")
+WORKERS := $(shell $(PYTHON) -c "import os; print(min(8, (os.cpu_count() or 1) + 1))")
 PYTEST := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
 
 .PHONY: demo test test-fast bench docs clean
