@@ -37,7 +37,13 @@ def beyond(
     unchangeable  (T,) bool, upright triangles that do not count
     limits        what the boundary allows at each vertex; None: `fan_limits` of the mesh
     """
-    few = _worse(mesh, q, bound, unchangeable)
+    return _but_for_limits(mesh, q, bound, _worse(mesh, q, bound, unchangeable), limits)
+
+
+def _but_for_limits(
+    mesh: MeshBatch, q: Quality, bound: Bound, few: "_Worse", limits: tuple[Tensor, Tensor] | None
+) -> Tensor:
+    """(T,) bool: the inverted triangles, and those of `few` that are beyond what their boundary allows."""
     bad = few.bad
     if bool(bad.any()):
         limits = limits_of(mesh) if limits is None else limits
@@ -82,7 +88,7 @@ def meshes_beyond(mesh: MeshBatch, q: Quality, bound: Bound, unchangeable: Tenso
     )
     if torch.equal(surely, perhaps):
         return surely
-    return segment_any(beyond(mesh, q, bound, unchangeable), mesh.triangle_offsets)
+    return segment_any(_but_for_limits(mesh, q, bound, few, None), mesh.triangle_offsets)
 
 
 def limits_of(mesh: MeshBatch) -> tuple[Tensor, Tensor]:
