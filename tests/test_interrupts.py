@@ -43,6 +43,28 @@ def test_an_interrupt_during_an_import_in_the_midst_of_the_work_leaves_nothing(t
     assert {p.name for p in tmp_path.iterdir()} - {"__pycache__"} == {"a.vtu", "sitecustomize.py"}
 
 
+# The command in this program's place is interrupted while Python runs the source of a string.
+IN_A_STRING = """
+import sys
+from torchmesh import __main__
+from torchmesh.commands import main as commands
+
+def run():
+    exec("import os, signal; os.kill(os.getpid(), signal.SIGINT); [None for _ in range(1000)]")
+
+commands.main = run
+sys.exit(__main__.main())
+"""
+
+
+def test_an_interrupt_while_a_string_is_run_ends_with_the_status_of_all_others(tmp_path):
+    (tmp_path / "in_a_string.py").write_text(IN_A_STRING)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    with started("-m", "in_a_string", cwd=tmp_path, env=environment) as child:
+        assert child.communicate(timeout=120) == ("", "interrupted\n")
+    assert child.returncode == 130
+
+
 FORKS = """
 import os, sys, time
 from torchmesh.improving.forked import over_processes

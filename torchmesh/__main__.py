@@ -59,6 +59,9 @@ def main() -> int:
         if interrupt.at is None:
             raise
         _say()
+        # Python remembers an interrupt that came while the source of a string ran (libraries make records that way),
+        # even if it was handled, and would end this process by the signal.  It forgets it when another string is run.
+        exec("")
         return INTERRUPTED
     finally:
         if signal.getsignal(signal.SIGINT) is interrupt:

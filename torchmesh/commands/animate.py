@@ -57,7 +57,7 @@ def animate(
 
     Of a time series (XDMF, .pvd) the film shows the improved steps one after another, or, with --step, the stages of
     one. Between two stages that differ in the vertices' positions only, the vertices glide in straight lines. A gif
-    needs matplotlib, an mp4 also imageio-ffmpeg (pip install 'torchmesh-untangle\\[video]'). No mesh is written.
+    needs matplotlib, an mp4 also imageio-ffmpeg, which brings ffmpeg under the GPL. No mesh is written.
 
     The exit status is 1 if the mesh ends with inverted triangles.
     """

@@ -1,4 +1,4 @@
-"""A film of a mesh in its stages, for talks and papers: gif, or mp4 with the extra `video`.
+"""A film of a mesh in its stages, for talks and papers: gif, or mp4 where imageio-ffmpeg is installed.
 
     stages --scenes--> pictures (whole mesh, close-up, one colour scale) --Pillow or ffmpeg--> file
 
@@ -57,7 +57,7 @@ def check_film_path(path: str | os.PathLike[str]) -> Path:
             import imageio_ffmpeg  # noqa: F401
         except ImportError:
             raise MissingDependencyError(
-                "mp4 needs imageio-ffmpeg: pip install 'torchmesh-untangle[video]', or write a .gif"
+                "mp4 needs imageio-ffmpeg (pip install imageio-ffmpeg); a .gif needs nothing more"
             ) from None
     return path
 
@@ -77,7 +77,7 @@ def animate(
     curves  of each stage the curved sides of its elements (`pictures.curves.Curves`); None: there are none
 
     Raises InvalidMeshError if there is no stage or one is a batch of several; MeshIOError, and
-    MissingDependencyError naming the extra.
+    MissingDependencyError naming what to install.
     """
     path = check_film_path(path)
     stages = list(stages)
