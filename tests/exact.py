@@ -10,21 +10,32 @@ def sign(value) -> int:
     return (value > 0) - (value < 0)
 
 
+def whole(points) -> tuple[list[tuple[int, int]], int]:
+    """The first two coordinates of points as integers of one unit, and how many units are one: a power of two.
+
+    Integers multiply several times faster than rationals.
+    """
+    ratios = [(float(p[0]).as_integer_ratio(), float(p[1]).as_integer_ratio()) for p in points]
+    unit = max((d for pair in ratios for _, d in pair), default=1)
+    return [(x * (unit // dx), y * (unit // dy)) for (x, dx), (y, dy) in ratios], unit
+
+
 def double_area(a, b, c) -> Fraction:
     """Twice the signed area of the triangle abc; each corner two floats."""
-    (ax, ay), (bx, by), (cx, cy) = ([Fraction(float(v)) for v in p] for p in (a, b, c))
-    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    ((ax, ay), (bx, by), (cx, cy)), unit = whole((a, b, c))
+    return Fraction((bx - ax) * (cy - ay) - (by - ay) * (cx - ax), unit * unit)
 
 
 def incircle(a, b, c, d) -> Fraction:
     """Positive when d lies inside the circle through the counter-clockwise abc."""
-    (ax, ay), (bx, by), (cx, cy), (dx, dy) = ([Fraction(float(v)) for v in p] for p in (a, b, c, d))
+    ((ax, ay), (bx, by), (cx, cy), (dx, dy)), unit = whole((a, b, c, d))
     ax, ay, bx, by, cx, cy = ax - dx, ay - dy, bx - dx, by - dy, cx - dx, cy - dy
-    return (
+    determinant = (
         (ax * ax + ay * ay) * (bx * cy - by * cx)
         - (bx * bx + by * by) * (ax * cy - ay * cx)
         + (cx * cx + cy * cy) * (ax * by - ay * bx)
     )
+    return Fraction(determinant, unit**4)
 
 
 def double_areas(mesh) -> list[Fraction]:
@@ -33,16 +44,11 @@ def double_areas(mesh) -> list[Fraction]:
 
 
 def areas_of(points, triangles) -> list[Fraction]:
-    """Twice the signed area of every triangle, each three rows of the points, of which two coordinates are read.
-
-    The coordinates become integers of one unit, a power of two: the numbers of `double_area`, several times faster.
-    """
-    ratios = [(float(p[0]).as_integer_ratio(), float(p[1]).as_integer_ratio()) for p in points]
-    unit = max((d for pair in ratios for _, d in pair), default=1)
-    whole = [(x * (unit // dx), y * (unit // dy)) for (x, dx), (y, dy) in ratios]
+    """Twice the signed area of every triangle, each three rows of the points, of which two coordinates are read."""
+    corners, unit = whole(points)
     areas = []
     for a, b, c in triangles:
-        (ax, ay), (bx, by), (cx, cy) = whole[a], whole[b], whole[c]
+        (ax, ay), (bx, by), (cx, cy) = corners[a], corners[b], corners[c]
         areas.append(Fraction((bx - ax) * (cy - ay) - (by - ay) * (cx - ax), unit * unit))
     return areas
 

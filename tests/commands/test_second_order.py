@@ -46,7 +46,7 @@ def test_improve_mends_curved_triangles_and_its_report_says_so(call, folder):
     assert call("report", "in.vtu", "out.vtu", "page.html").status == 0
 
 
-def test_what_cannot_be_mended_is_said_with_status_1(call, folder):
+def test_what_cannot_be_mended_is_said_with_status_1(call, folder, inline):
     # One triangle, whose curved side reaches through the opposite corner: every node lies on the boundary.
     points = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.5, 0], [0.5, 0.9, 0], [0.75, 0.25, 0], [0.25, 0.25, 0.0]])
     cm.save(folder / "one.vtu", points, np.arange(6)[None])

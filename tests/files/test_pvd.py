@@ -68,7 +68,7 @@ def test_a_series_changes_its_format(run, tmp_path):
         write_series(tmp_path / "c.vtu", given.batch, given)
 
 
-def test_a_folder_counts_a_collection_once(run, tmp_path):
+def test_a_folder_counts_a_collection_once(run, tmp_path, inline):
     results = list(improve_files(run.parent, tmp_path / "out", ImproveOptions(), workers=1))
     assert [(r.name, r.steps, r.valid) for r in results] == [("run.pvd", 3, True)]
     assert len(read_series(tmp_path / "out" / "run.pvd")) == 3
