@@ -23,14 +23,14 @@ TOPOLOGIES = {
 
 def flat() -> MeshBatch:
     """Layers over a flat wall; the two highest rows are none."""
-    return flat_layer(columns=5, rows=9, first=4e-3, growth=1.6)
+    return flat_layer(columns=6, rows=9, first=4e-3, growth=1.6)
 
 
 def pushed() -> MeshBatch:
     """The same with one vertex above the layer pushed down: tangled."""
     mesh = flat()
     points = mesh.points.clone()
-    points[2 + 6 * 8, 1] -= 0.2
+    points[3 + 7 * 8, 1] -= 0.2
     return mesh.with_points(points)
 
 
@@ -40,7 +40,7 @@ def test_a_layer_keeps_its_bits_and_the_rest_becomes_valid(options, tangled):
     mesh = pushed() if tangled else flat()
     out, report = improve(mesh, options)
     assert bool(report.certified[0])
-    assert report.messages[0].endswith("; layer of 7 at the wall near (0.4, 0), first height 0.004: kept")
+    assert report.messages[0].endswith("; layer of 7 at the wall near (0.5, 0), first height 0.004: kept")
     held = find_layers(mesh).vertices(len(mesh.points)).nonzero().squeeze(1)
     new = held if report.vertex_map is None else report.vertex_map.old_to_new[held]
     assert torch.equal(out.points[new], mesh.points[held])

@@ -9,7 +9,7 @@
 
 The meshers of boundary layers build such rows (Garimella & Shephard, Boundary layer mesh generation for viscous flow
 simulations, International Journal for Numerical Methods in Engineering 49, 2000).  Triangles that a motion has
-flattened are no layer: they have no columns, or the strips beside them are of other heights.
+flattened are no layer: they have no columns, or the strips beside them are of other heights or numbers of rows.
 """
 
 from dataclasses import dataclass, fields
@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..kernels import geometry, layer_rows
 from ..mesh.batch import MeshBatch
-from ..mesh.connectivity import heads, keys_of, next_in_triangle, previous_in_triangle, tails
+from ..mesh.connectivity import edge_components, heads, keys_of, next_in_triangle, previous_in_triangle, tails
 from ..mesh.detached import loops_may_read
 from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import upright
@@ -40,8 +40,11 @@ class LayerOptions:
     turn     the cosine of the greatest angle between the lower and the upper edge of a quadrilateral
     shrink   a row is at least this part of the row below it high: layers grow outwards
     alike    the first rows of neighbouring strips, and the columns beside them, differ by at most this factor
-    rows     a layer has at least so many rows, side by side in at least three strips.  A motion may flatten a few
-             triangles at a wall into two or three rows: an airfoil that turned by 60 degrees did
+    rows     a layer has at least so many rows, side by side in at least three strips whose numbers of rows differ by
+             one at most.  A motion may flatten a few triangles at a wall: before an airfoil that turned by 60 degrees
+             there were two or three rows, before a bar at 45 degrees strips of 1, 4, 7, 2 and 7 rows
+    strips   a layer has at least so many strips.  Of 200 bars at some angle that moved, four had 3 to 5 sheared strips,
+             some of them even; four high rows beside the long edges of a lattice's wall are none either
     """
 
     first: float = 0.25
@@ -51,10 +54,11 @@ class LayerOptions:
     shrink: float = 0.8
     alike: float = 2.0
     rows: int = 4
+    strips: int = 6
 
     @property
     def limits(self) -> tuple[float, ...]:
-        """What a single quadrilateral must keep to: all but `rows`."""
+        """What a single quadrilateral must keep to: all but `rows` and `strips`."""
         return self.first, self.height, self.lean, self.turn, self.shrink, self.alike
 
     def __post_init__(self) -> None:
@@ -301,39 +305,66 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _in_company(quads: Layers, options: LayerOptions) -> Tensor:
-    """(N,) bool: the quadrilateral of a first row is one of at least three of like height, side by side."""
+    """(N,) bool: the quadrilateral of a row is one of at least three of like height, side by side."""
+    neighbours = _neighbours(quads)
+    ratio = quads.height[neighbours.clamp_min(0)] / quads.height[:, None]
+    alike = (neighbours >= 0) & (ratio <= options.alike) & (ratio * options.alike >= 1)
+    return _of_three(neighbours, alike, alike.all(1))
+
+
+def _neighbours(quads: Layers) -> Tensor:
+    """(N, 2) int64, the quadrilaterals of a row at the left and the right, with which they share columns; -1: none."""
     count = len(quads)
     neighbours = torch.full((count, 2), -1, device=quads.wall.device)
+    if not count:
+        return neighbours
     foot, top = quads.corners[:, :2], quads.corners[:, 2:].flip(1)
-    limit = int(quads.corners.max()) + 1 if count else 1
+    limit = int(quads.corners.max()) + 1
     left, right = (foot[:, k] * limit + top[:, k] for k in (0, 1))
     order = left.argsort()
-    place = torch.searchsorted(left[order], right).clamp_max(max(count - 1, 0))
-    if count:
-        after = order[place]
-        same = left[after] == right
-        ratio = quads.height[after] / quads.height
-        same &= (ratio <= options.alike) & (ratio * options.alike >= 1)
-        rows = true_rows(same)
-        neighbours[rows, 1] = after[rows]
-        neighbours[after[rows], 0] = rows
-    there = neighbours >= 0
-    amid = there.all(1)
+    after = order[torch.searchsorted(left[order], right).clamp_max(count - 1)]
+    rows = true_rows(left[after] == right)
+    neighbours[rows, 1] = after[rows]
+    neighbours[after[rows], 0] = rows
+    return neighbours
+
+
+def _of_three(neighbours: Tensor, there: Tensor, amid: Tensor) -> Tensor:
+    """(N,) bool: those `amid` (N,) bool, and their neighbours (N, 2) that are `there` (N, 2) bool."""
     return amid | (there & amid[neighbours.clamp_min(0)]).any(1)
 
 
 def _rooted(layers: Layers, options: LayerOptions) -> Layers:
-    """The strips that have enough rows, or a strip beside them that has."""
+    """The strips of layers that have enough rows, or a strip beside them that has.
+
+    A layer has enough strips, and somewhere three of them, side by side, end evenly: their numbers of rows differ by
+    one at most.  Triangles that a motion has flattened and sheared may look like strips, but few, which end anywhere.
+    """
     if not len(layers):
         return layers
-    enough = layers._rows_of_strip() >= options.rows
-    beside = torch.zeros(int(layers.corners.max()) + 1, dtype=torch.bool, device=enough.device)
-    first = layers.row == 1
-    beside[layers.corners[enough & first, :2].reshape(-1)] = True
-    near = beside[layers.corners[:, :2]].any(1) & first
-    good = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.bool, device=enough.device)
-    good[layers.wall[enough | near]] = True
-    return layers.select(good[layers.wall])
+    strips = layers.select(layers.row == 1)
+    foot, count = strips.corners[:, :2], int(layers.corners.max()) + 1
+    rows = layers._rows_of_strip()[layers.row == 1]
+    chain = edge_components(foot, count)[foot[:, 0]]
+    even, beside = torch.zeros((2, count), dtype=torch.bool, device=rows.device)
+    even[chain[_amid_even_ones(strips, rows, options.rows)]] = True
+    good = (rows >= options.rows) & even[chain] & (torch.bincount(chain)[chain] >= options.strips)
+    beside[foot[good].reshape(-1)] = True
+    kept = torch.zeros(int(layers.wall.max()) + 1, dtype=torch.bool, device=rows.device)
+    kept[strips.wall[beside[foot].any(1)]] = True
+    return layers.select(kept[layers.wall])
+
+
+def _amid_even_ones(strips: Layers, rows: Tensor, least: int) -> Tensor:
+    """(N,) bool: the strips in the middle of three that have `least` rows or more and end evenly.
+
+    strips  the quadrilaterals of first rows
+    rows    (N,) how many rows the strip of each has
+    """
+    neighbours = _neighbours(strips)
+    three = torch.cat([rows[:, None], rows[neighbours.clamp_min(0)]], 1)
+    low, high = three.aminmax(dim=1)
+    return (neighbours >= 0).all(1) & (low >= least) & (high - low <= 1)
 
 
 def _joined(rows: list[Layers], batch: MeshBatch) -> Layers:
