@@ -141,6 +141,30 @@ def test_triangles_that_touch_in_a_vertex_are_not_neighbours():
     assert con.triangle_components(triangles, con.twins(triangles)).unique().numel() == 2
 
 
+def test_components_of_vertices_agree_with_scipys(named, rng):
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    # Twice the mesh and a bowtie, whose triangles touch in a vertex alone, numbered at random, with unused vertices.
+    mesh, triangles = named[1], named[2]
+    count, bowtie = len(mesh.points), torch.from_numpy(meshes.BOWTIE[1])
+    whole = torch.cat([triangles, triangles + count, bowtie + 2 * count])
+    vertices = 2 * count + int(bowtie.max()) + 4
+    name = torch.from_numpy(rng.permutation(vertices))
+    whole = name[whole[torch.from_numpy(rng.permutation(len(whole)))]]
+    label, components = con.vertex_components(whole, con.twins(whole), vertices)
+    ends = whole.reshape(-1).numpy(), whole.roll(1, 1).reshape(-1).numpy()
+    graph = coo_matrix((np.ones(len(ends[0])), ends), shape=(vertices,) * 2)
+    _, expected = connected_components(graph, directed=False)
+    used = con.vertex_triangle_counts(whole, vertices) > 0
+    assert torch.equal(label >= 0, used)
+    pairs = set(zip(label[used].tolist(), expected[used.numpy()].tolist(), strict=True))
+    assert len(pairs) == len({p for p, _ in pairs}) == len({e for _, e in pairs}) == components
+    # They are numbered by their first triangles.
+    first = label[whole[:, 0]].tolist()
+    assert list(dict.fromkeys(first)) == list(range(components))
+
+
 def test_twins_do_not_depend_on_the_order_of_triangles_or_corners(rng):
     triangles = meshes.ring().triangles
     order = torch.from_numpy(rng.permutation(len(triangles)))
@@ -158,6 +182,8 @@ def test_twins_do_not_depend_on_the_order_of_triangles_or_corners(rng):
 
 def test_no_triangles():
     none = torch.zeros((0, 3), dtype=torch.int64)
+    assert con.vertex_components(none, con.twins(none), 2)[0].tolist() == [-1, -1]
+    assert con.vertex_components(none, con.twins(none), 2)[1] == 0
     twin = con.twins(none)
     assert len(twin) == 0
     assert con.euler_number(none, twin) == 0

@@ -8,7 +8,7 @@ from both_loops import need_compiled_loops
 from exact import edge_counts, inverted
 from meshes import TANGLED, delaunay, disturbed, dragged_interface, grid, holed_arrays, jittered, moved_hole, ring
 
-from torchmesh import MeshBatch, join, quality
+from torchmesh import MeshBatch, MeshWarning, join, quality
 from torchmesh.mesh.connectivity import boundary_edges, triangle_components
 from torchmesh.mesh.kept_edges import constrained_half_edges
 from torchmesh.remeshing.anew_in_rows import InRowsOptions, anew_in_rows
@@ -59,6 +59,16 @@ def test_fixed_vertices_and_vertices_of_no_triangle_stay():
     made = anew(one, ANY_SIZE)
     assert inverted(made) == 0
     assert torch.equal(made.points[[held, -1]], points[[held, -1]])
+
+
+def test_how_far_away_a_vertex_of_no_triangle_is_does_not_matter():
+    mesh = moved_hole()
+    far, fixed = torch.tensor([[1e140, 0.0]], dtype=torch.float64), torch.cat([mesh.fixed, torch.tensor([True])])
+    with pytest.warns(MeshWarning, match="no triangle"):
+        more = MeshBatch.from_arrays(torch.cat([mesh.points, far]), mesh.triangles, fixed)
+    made = anew(mesh)
+    assert torch.equal(anew(more).points, torch.cat([made.points, far]))
+    assert torch.equal(anew(more).triangles, made.triangles)
 
 
 def test_what_constrained_edges_shut_in_keeps_its_triangles():

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchmesh import InvalidMeshError, MeshBatch, femwarp, join, largest_step, quality
+from torchmesh import InvalidMeshError, MeshBatch, MeshWarning, femwarp, join, largest_step, quality
 from torchmesh.warping.boundary_path import BoundaryPath, least_positive_root
 
 LAST = torch.ones(1, dtype=torch.float64)
@@ -68,6 +68,16 @@ def test_a_motion_that_flattens_nothing_has_no_bound():
     assert largest_step(mesh, 0 * mesh.points).item() == pytest.approx(1.0)
     assert largest_step(mesh, -mesh.points).item() == pytest.approx(0.5)
     assert largest_step(meshes.TANGLED["jittered"](), meshes.grid(8, 7).points).item() == 0.0
+
+
+def test_a_vertex_in_no_triangle_bounds_nothing_however_far_it_is():
+    mesh = meshes.ring()
+    goal = -mesh.points
+    far = torch.tensor([[1e16, 0.0]], dtype=torch.float64)
+    with pytest.warns(MeshWarning, match="no triangle"):
+        more = MeshBatch.from_arrays(torch.cat([mesh.points, far]), mesh.triangles)
+    for there in (far, -far, torch.zeros_like(far)):
+        assert torch.equal(largest_step(more, torch.cat([goal, there])), largest_step(mesh, goal))
 
 
 def test_each_mesh_has_its_own_step():

@@ -54,6 +54,46 @@ def test_affine_motion_is_reproduced(name, rng):
     torch.testing.assert_close(carried_stiffly(mesh, goal, 1.0).points, goal, rtol=0, atol=1e-11)
 
 
+def loose(mesh, *positions):
+    """The mesh with vertices at these positions that are in no triangle, in front of the others."""
+    points = torch.cat([mesh.points.new_tensor(positions), mesh.points])
+    with pytest.warns(tm.MeshWarning, match="no triangle"):
+        return tm.MeshBatch.from_arrays(points, mesh.triangles + len(positions))
+
+
+def together(*parts):
+    """One mesh of all these parts."""
+    starts = np.cumsum([0, *[len(part.points) for part in parts[:-1]]]).tolist()
+    triangles = torch.cat([part.triangles + start for part, start in zip(parts, starts, strict=True)])
+    return tm.MeshBatch.from_arrays(torch.cat([part.points for part in parts]), triangles)
+
+
+def test_a_vertex_in_no_triangle_does_not_count(rng):
+    mesh = meshes.delaunay()
+    goal = moved_at_random(mesh, rng)
+    after = carried_stiffly(mesh, goal, 1.0).points
+    more = loose(mesh, [2.0, 2.0], [-3.0, 5.0])
+    far = torch.tensor([[1e6, 0.0], [-3.0, 5.0]], dtype=torch.float64)
+    assert torch.equal(carried_stiffly(more, torch.cat([far, goal]), 1.0).points, torch.cat([far, after]))
+
+
+def test_each_part_has_an_affine_motion_of_its_own(rng):
+    parts, goals = [meshes.jittered(), meshes.ring(), meshes.delaunay()], []
+    for part in parts:
+        matrix, shift = rng.normal(size=(2, 2)), 100 * rng.normal(size=2)
+        goals.append(part.points @ torch.from_numpy(matrix) + torch.from_numpy(shift))
+    after = carried_stiffly(together(*parts), torch.cat(goals), 1.0).points
+    # Sums of some hundred numbers of the size of the shift.
+    torch.testing.assert_close(after, torch.cat(goals), rtol=0, atol=1e-10)
+
+
+def test_in_a_batch_each_mesh_is_carried_as_alone(rng):
+    several = [meshes.ring(), together(meshes.grid(), meshes.ring()), loose(meshes.delaunay(), [1.0, 1.0])]
+    goals = [moved_at_random(mesh, rng, by=1e-3) for mesh in several]
+    alone = [carried_stiffly(mesh, goal, 1.0).points for mesh, goal in zip(several, goals, strict=True)]
+    assert torch.equal(carried_stiffly(tm.join(several), torch.cat(goals), 1.0).points, torch.cat(alone))
+
+
 def test_no_motion_keeps_every_bit():
     mesh = meshes.jittered()
     assert torch.equal(carried_stiffly(mesh, mesh.points, 1.0).points, mesh.points)

@@ -166,6 +166,27 @@ def triangle_components(triangles: Tensor, twin: Tensor, blocked: Tensor | None 
     return take((root == rows).cumsum(0) - 1, root)
 
 
+def vertex_components(triangles: Tensor, twin: Tensor, vertices: int) -> tuple[Tensor, int]:
+    """(V,) int64 the component of each of the `vertices`, and the number of components.
+
+    Two triangles are in one component if they have a vertex in common, or if a chain of such triangles joins them.
+    Components are numbered in the order of their first triangles.  A vertex in no triangle has the component -1.
+    """
+    component = triangle_components(triangles, twin)
+    corner, of_corner = triangles.reshape(-1), component.repeat_interleave(3)
+    label = torch.full((vertices,), -1, device=triangles.device).scatter_(0, corner, of_corner)
+    count = int(component.max()) + 1 if len(component) else 0
+    # These components hang together by edges.  Two of them that meet in a vertex alone become one.
+    there = take(label, corner)
+    meet = true_rows(of_corner != there)
+    if len(meet):
+        least = edge_components(torch.stack([of_corner[meet], there[meet]], 1), count)
+        number = (least == torch.arange(count, device=least.device)).cumsum(0) - 1
+        label = torch.where(label >= 0, number[least[label]], -1)
+        count = int(number[-1]) + 1
+    return label, count
+
+
 def edge_components(pairs: Tensor, count: int) -> Tensor:
     """(V,) int64 the least of the vertices that the edges `pairs` (E, 2) join each of the `count` vertices to."""
     label = torch.arange(count, device=pairs.device)

@@ -5,7 +5,8 @@ from torch import Tensor
 
 from ..kernels import packing
 from ..kernels.library import library_for
-from .ragged import segment_max, segment_min
+from .connectivity import corners_of
+from .ragged import offsets_from_counts, segment_count, segment_max, segment_min, true_rows
 
 
 def centre_and_unit(points: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tensor]:
@@ -19,3 +20,12 @@ def centre_and_unit(points: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tens
     extent = half.amax(1)
     unit = torch.ldexp(torch.ones_like(extent), torch.frexp(extent).exponent - 1)
     return low + half, torch.where(extent > 0, unit, 1.0)
+
+
+def centre_and_unit_of_triangles(points: Tensor, triangles: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """As `centre_and_unit`, of the vertices of `triangles` (T, 3) alone: others may be anywhere."""
+    every = torch.ones(len(triangles), dtype=torch.bool, device=triangles.device)
+    used = corners_of(triangles, every, len(points))
+    if bool(used.all()):
+        return centre_and_unit(points, point_offsets)
+    return centre_and_unit(points[true_rows(used)], offsets_from_counts(segment_count(used, point_offsets)))

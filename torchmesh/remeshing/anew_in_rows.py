@@ -21,7 +21,7 @@ from ..mesh.matching import pairs_nearby
 from ..mesh.measure import Quality
 from ..mesh.ragged import true_rows
 from ..mesh.triangle import SQRT3
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..triangulating.front import FrontOptions, Mesher, is_compiled, outline_mesher
 from .sizing import InwardOptions, boundary_sizes
 
@@ -150,7 +150,8 @@ class _Outline:
     @classmethod
     def of(cls, mesh: MeshBatch, rows: Tensor, options: InRowsOptions) -> "_Outline":
         """The outline of the triangles `rows` (T',) of a batch of one mesh."""
-        unit, count = centre_and_unit(mesh.points, mesh.point_offsets)[1], len(mesh.points)
+        unit = centre_and_unit_of_triangles(mesh.points, mesh.triangles, mesh.point_offsets)[1]
+        count = len(mesh.points)
         mine = torch.zeros(len(mesh.triangles), dtype=torch.bool).index_fill_(0, rows, True)
         here = corners_of(mesh.triangles, mine, count)
         free, still = here & _loose(mesh), here & ~_loose(mesh)

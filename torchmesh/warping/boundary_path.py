@@ -16,7 +16,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.quads import HALVES, quads_as_halves, sampled, spread_to_halves, worst_of_samples
 from ..mesh.ragged import offsets_from_counts, segment_min, segment_sum, spread, true_rows
 from ..mesh.triangle import corners
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from .femwarp import checked_new_points
 
 # A body turns if shift and turn leave at most this part of the motion that a shift alone leaves (root mean square).
@@ -48,7 +48,7 @@ def first_flat(batch: MeshBatch, target: Tensor) -> Tensor:
     if batch.rows_per_quad == HALVES:
         least = worst_of_samples(batch, -first_flat(sampled(batch), target))
         return -spread_to_halves(batch, *least)
-    centre, unit = centre_and_unit(batch.points, batch.point_offsets)
+    centre, unit = centre_and_unit_of_triangles(batch.points, batch.triangles, batch.point_offsets)
     if library_for(batch.points) is not None:
         return geometry.first_flat(batch.points, target, batch.triangles, batch.triangle_offsets, centre, unit)
     # Dividing by a power of two changes no root, and keeps every product within the range of numbers.

@@ -1,8 +1,9 @@
 """Carry the interior of a mesh along with its boundary so that small triangles keep their shapes.
 
-    step of the boundary = affine motion + rest        the interior takes the affine motion as it is,
-                                                       and the rest as a harmonic function whose
-                                                       stiffness is higher in smaller triangles
+    step of the boundary = affine motion + rest        the interior of each connected part of a mesh takes the
+                                                       affine motion of the part as it is, and the rest as a
+                                                       harmonic function whose stiffness is higher in smaller
+                                                       triangles
 
 Near a moving body triangles are usually small.  FEMWARP lets all triangles share the deformation alike, so that the
 small ones are the first ones to be flat.  Where small triangles are stiffer, they move along with the body, and large
@@ -15,7 +16,9 @@ from torch import Tensor
 from ..kernels import stiffness as compiled
 from ..kernels.library import library_for
 from ..mesh.batch import MeshBatch
-from ..mesh.ragged import segment_sum, spread
+from ..mesh.connectivity import vertex_components
+from ..mesh.quads import halved
+from ..mesh.ragged import counts_from_offsets, offsets_from_counts, put_rows, segment_sum, spread, take, true_rows
 from ..optimising.laplacian import ExtensionSystem
 from .femwarp import carried, stiffness
 
@@ -26,30 +29,49 @@ _ON_A_LINE = 1e-12
 def carried_stiffly(batch: MeshBatch, goal: Tensor, stiffening: float) -> MeshBatch:
     """The batch with its fixed vertices at `goal` (V, 2), the interior following; without a gradient.
 
-    stiffening  the power of one over the area of a triangle to which its stiffness is proportional.  1 is that of
-                Stein, Tezduyar & Benney, Mesh moving techniques for fluid-structure interactions with large
-                displacements, Journal of Applied Mechanics 70, 2003, section 3, where the Jacobian of an element is
-                left out of its integral; 0 is FEMWARP
+    stiffening  the stiffness of a triangle is proportional to this power of one over its area; 0 is FEMWARP, and 1 is
+                the rule of Stein, Tezduyar & Benney, Mesh moving techniques for fluid-structure interactions with
+                large displacements, Journal of Applied Mechanics 70, 2003, section 3.  They leave the Jacobian, which
+                is proportional to the area, out of the integral that gives the stiffness of an element, and so divide
+                that stiffness by the area
 
-    The displacement of the interior is the affine motion that fits that of the fixed vertices best, by least squares,
-    and the harmonic extension of what that leaves, with these stiffnesses.  So affine motions are reproduced, as by
-    FEMWARP.  Callers know that the batch is valid and that `goal` fits it.
+    The displacement of the interior is the sum of two.  The first is the affine motion that fits the motion of the
+    fixed vertices best, by least squares; each connected part of a mesh has one of its own, for which only vertices of
+    triangles count.  The second is the harmonic extension, with these stiffnesses, of what the fit leaves at the fixed
+    vertices.  So affine motions of each part are reproduced, as by FEMWARP.  Callers know that the batch is valid and
+    that `goal` fits it.
     """
     if stiffening == 0:
         return carried(batch, goal)
     points, fixed = batch.points.to(torch.float64), batch.fixed[:, None]
     asked = torch.where(fixed, goal.to(points) - points, 0.0)
-    affine = affine_fit(points, batch.fixed, asked, batch.point_offsets)
+    affine = _affine_fit_of_parts(batch, points, asked)
     triangles, weights = stiffness(batch, stiffening)
     system = ExtensionSystem(triangles, weights, batch.fixed, batch.point_offsets)
     rest = system.extended(torch.where(fixed, asked - affine, 0.0))
     return batch.with_points(torch.where(fixed, goal, (points + (affine + rest)).to(batch.points)))
 
 
+def _affine_fit_of_parts(batch: MeshBatch, points: Tensor, displacement: Tensor) -> Tensor:
+    """(V, 2) `affine_fit` over each connected part of each mesh of the batch; 0 at vertices in no triangle."""
+    mesh = halved(batch)
+    part, count = vertex_components(mesh.triangles, mesh.twin, len(points))
+    rows = true_rows(part >= 0)
+    meshes = int((counts_from_offsets(batch.point_offsets) > 0).sum())
+    if count == meshes and len(rows) == len(points):  # every vertex is in a triangle, and no mesh has two parts
+        return affine_fit(points, batch.fixed, displacement, batch.point_offsets)
+    # The vertices of a part stand one after the other, as those of a mesh do.
+    rows = rows[part[rows].argsort(stable=True)]
+    offsets = offsets_from_counts(torch.bincount(part[rows], minlength=count))
+    fit = affine_fit(take(points, rows), batch.fixed[rows], take(displacement, rows), offsets)
+    return put_rows(torch.zeros_like(points), rows, fit)
+
+
 def affine_fit(points: Tensor, fixed: Tensor, displacement: Tensor, offsets: Tensor) -> Tensor:
-    """(V, 2) the affine displacement of each mesh that fits that of its `fixed` (V,) vertices best, at all vertices.
+    """(V, 2) the affine displacement of each part that fits that of its `fixed` (V,) vertices best, at all vertices.
 
     points, displacement  (V, 2) float64; the displacement is 0 where a vertex is not fixed
+    offsets               (P+1,) the rows of each part, which may be a whole mesh
 
     Where the fixed vertices lie on a line, it is their mean displacement alone.
     """

@@ -116,11 +116,11 @@ TM_EXPORT void tm_edge_stiffness(const double* points, const std::int64_t* trian
     }
 }
 
-// The affine displacement of each mesh that fits the displacement (vertices, 2) of its fixed vertices best, at all its
+// The affine displacement of each part that fits the displacement (vertices, 2) of its fixed vertices best, at all its
 // vertices, as `affine_fit` in torchmesh/warping/stiffened.py.
 TM_EXPORT void tm_affine_fit(const double* points, const std::uint8_t* fixed, const double* displacement,
-                             const std::int64_t* offsets, std::int64_t meshes, double on_a_line, double* out) {
-    for (std::int64_t m = 0; m < meshes; ++m) {
+                             const std::int64_t* offsets, std::int64_t parts, double on_a_line, double* out) {
+    for (std::int64_t m = 0; m < parts; ++m) {
         double count = 0, x = 0, y = 0, u = 0, v = 0;
         for (std::int64_t i = offsets[m]; i < offsets[m + 1]; ++i) {
             if (!fixed[i]) continue;
