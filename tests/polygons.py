@@ -9,6 +9,10 @@ from torchmesh.triangulating.polygon import loop_edges, winding
 
 SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
 
+# A square, and a square hole that leaves it through two vertices that both have: no edges cross.
+CROSSED = np.array([[0, 0], [2, 0], [2, 0.5], [2, 1.5], [2, 2], [0, 2], [1, 0.5], [1, 1.5], [3, 1.5], [3, 0.5]])
+CROSSED_LOOPS = [[0, 1, 2, 3, 4, 5], [6, 7, 3, 8, 9, 2]]
+
 
 def star(count, rng, low=0.5, high=1.0):
     angle = 2 * np.pi * np.arange(count) / count

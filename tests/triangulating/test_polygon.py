@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from polygons import SQUARE, edges_of, star_with_holes
+from polygons import CROSSED, CROSSED_LOOPS, SQUARE, edges_of, star_with_holes
 
 from torchmesh.triangulating.polygon import nested_holes, turns_left, why_not_simple, winding, windings
 
@@ -19,11 +19,19 @@ from torchmesh.triangulating.polygon import nested_holes, turns_left, why_not_si
             [[0, 1, 2, 3], [7, 6, 5, 4], [11, 10, 9, 8]],
             "inside the one",
         ),
+        (CROSSED, CROSSED_LOOPS, "crosses itself at vertex 2"),
     ],
 )
 def test_loops_that_bound_no_domain_are_named(points, loops, text):
     obstacle = why_not_simple(points, [np.array(loop) for loop in loops])
     assert text in str(obstacle)
+
+
+def test_loops_that_touch_in_common_vertices_bound_a_domain():
+    # A hole that touches the outer loop, and one that touches that hole.
+    points = np.array([[0, 0], [4, 0], [8, 0], [8, 8], [0, 8], [6, 3], [4, 4], [2, 3], [6, 6], [2, 6]], float)
+    loops = [np.arange(5), np.array([1, 7, 6, 5]), np.array([6, 9, 8])]
+    assert why_not_simple(points, loops) is None
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from polygons import edges_of, star_with_holes, star_with_vertices
+from polygons import CROSSED, CROSSED_LOOPS, edges_of, star_with_holes, star_with_vertices
 
 from torchmesh.triangulating.arrays import Obstacle
 from torchmesh.triangulating.polygon import why_not_simple
@@ -143,3 +143,19 @@ def test_loops_that_bound_no_domain_are_refused_with_the_reason():
     obstacle = triangulate_polygon(square[[0, 2, 1, 3]], [np.arange(4)], np.ones(4))
     assert isinstance(obstacle, Obstacle)
     assert "meet" in str(obstacle)
+
+
+def test_loops_that_cross_in_common_vertices_are_not_triangulated():
+    loops, none = [np.array(loop) for loop in CROSSED_LOOPS], np.zeros(0, np.int64)
+    assert triangulate_with(CROSSED.copy(), loops, np.ones(10), none, none.reshape(0, 2)) is None
+    assert isinstance(_cut_out(CROSSED, loops, np.ones(10)), Obstacle)
+    assert isinstance(triangulate_polygon(CROSSED.copy(), loops, np.ones(10)), Obstacle)
+
+
+def test_what_a_closed_walk_of_segments_encloses_is_triangulated():
+    points = np.array([[0, 0], [4, 0], [4, 4], [0, 4], [1, 1], [3, 1], [3, 3], [1, 3], [2, 2.125]])
+    segments = np.array([[4, 5], [5, 6], [6, 7], [7, 4]])
+    made = triangulate_with(points, [np.arange(4)], np.ones(9), np.arange(4, 9), segments)
+    assert is_triangulation_of(points, made.corners, edges_of([np.arange(4)]))
+    assert len(made.corners) == 12
+    assert made.locked.sum() == 8

@@ -8,12 +8,14 @@ from exact import edge_counts, inverted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from judges import assert_every_row_stays
+from polygons import CROSSED, edges_of
 from scipy.spatial import Delaunay
 
 from experiments.robustness.attack import cracks
 from torchmesh.errors import InvalidMeshError
 from torchmesh.mesh.batch import MeshBatch, join
 from torchmesh.mesh.interfaces import holding
+from torchmesh.triangulating.arrays import Obstacle
 from torchmesh.untangling import cavity as cavity_module
 from torchmesh.untangling.retriangulation import (
     _corners_in_regions,
@@ -283,6 +285,17 @@ def test_what_cannot_be_done_is_said_and_nothing_changes():
     result = untangle_by_retriangulation(mesh)
     assert not result.ok
     assert str(index[3, 0]) in result.reason
+
+
+def test_a_hole_that_leaves_through_vertices_of_the_wall_is_named():
+    # The hole has vertices of its own in the positions of two vertices of the wall.
+    points = np.concatenate([CROSSED, CROSSED[[3, 2]]])
+    boundary = edges_of([np.arange(6), np.array([6, 7, 10, 8, 9, 11])])
+    fixed = np.ones(len(points), bool)
+    cavity = cavity_module.Cavity(points, boundary, np.zeros((0, 2), np.int64), fixed, fixed, points.dtype)
+    built = cavity.filled()
+    assert isinstance(built, Obstacle)
+    assert "of the boundary meet" in str(built)
 
 
 def test_cavities_are_small_and_leave_the_rest_alone():

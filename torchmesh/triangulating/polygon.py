@@ -4,12 +4,15 @@ A domain lies on the left of its loops: one outer loop counter-clockwise, holes 
 may share vertices.  Exact signs decide.
 """
 
+import functools
+
 import numpy as np
 import torch
 
 from ..mesh.connectivity import boundary_loops
 from .arrays import Obstacle, among, signs
 from .crossings import crossing_pairs, overlapping_boxes
+from .recovery import Exact
 
 # Rows of a vertices-times-edges table worked on at once, which bounds the memory.
 _CHUNK = 2_000_000
@@ -99,6 +102,9 @@ def why_not_simple(points: np.ndarray, loops: list[np.ndarray]) -> Obstacle | No
         return Obstacle(
             "the edges [{}, {}] and [{}, {}] of the boundary meet", tuple(boundary[pairs[0]].ravel().tolist())
         )
+    crossed = _crossed_vertex(points, boundary)
+    if crossed is not None:
+        return Obstacle("the boundary crosses itself at vertex {}", (crossed,))
     turn = turns_left(points, loops)
     if (turn > 0).sum() != 1 or (turn == 0).any():
         return Obstacle(f"the boundary has {(turn > 0).sum()} outer loops, not one")
@@ -114,6 +120,31 @@ def why_not_simple(points: np.ndarray, loops: list[np.ndarray]) -> Obstacle | No
         return Obstacle(
             "the hole through vertex {} lies inside the one through vertex {}", (int(nested[0][0]), int(nested[1][0]))
         )
+    return None
+
+
+def _crossed_vertex(points: np.ndarray, boundary: np.ndarray) -> int | None:
+    """A vertex at which loops cross, of loops whose edges (E, 2) meet in common vertices only; None if there is none.
+
+    The domain extends counter-clockwise from an edge that leaves a vertex to the next edge there, so that one must
+    arrive.
+    """
+    leaving = np.bincount(boundary[:, 0], minlength=len(points))
+    shared = np.flatnonzero(leaving > 1)
+    if not len(shared):
+        return None
+    exact = Exact(points)
+    around: dict[int, list[tuple[int, bool]]] = {v: [] for v in shared.tolist()}
+    for u, v in boundary[(leaving[boundary] > 1).any(1)].tolist():
+        if u in around:
+            around[u].append((v, True))
+        if v in around:
+            around[v].append((u, False))
+    for p, spokes in around.items():
+        order = functools.cmp_to_key(functools.partial(exact.later, p))
+        leaves = [leave for _, leave in sorted(spokes, key=lambda spoke: order(spoke[0]))]
+        if any(a == b for a, b in zip(leaves, leaves[1:] + leaves[:1], strict=True)):
+            return p
     return None
 
 

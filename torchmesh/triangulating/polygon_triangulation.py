@@ -113,7 +113,11 @@ def triangulate_with(
     work = Triangulation(more, corners, np.zeros(len(more)))
     if recover(work, np.concatenate([boundary, segments])):
         return None
-    made = Triangulation(points, _enclosed(work, boundary), spacing)
+    enclosed = _enclosed(work, boundary)
+    # Where the loops bound no domain, corners of the big triangle may be among those enclosed.
+    if not is_triangulation_of(more, enclosed, boundary):
+        return None
+    made = Triangulation(points, enclosed, spacing)
     if recover(made, segments):
         return None
     made.flip_to_delaunay(np.arange(len(made.corners)))
@@ -149,7 +153,7 @@ def _cut_out(points: np.ndarray, loops: list[np.ndarray], spacing: np.ndarray) -
     corners = _enclosed(work, boundary)
     return (
         corners
-        if is_triangulation_of(points, corners, boundary)
+        if is_triangulation_of(more, corners, boundary)
         else Obstacle("the boundary does not enclose one domain")
     )
 
@@ -162,15 +166,17 @@ def _with_big_triangle(points: np.ndarray, vertices: np.ndarray) -> tuple[np.nda
 
 
 def _enclosed(work: Triangulation, boundary: np.ndarray) -> np.ndarray:
-    """(T, 3) the triangles on the left of the locked edges `boundary` (E, 2)."""
+    """(T, 3) the triangles on the left of the edges `boundary` (E, 2), as far as one reaches without crossing these."""
     count = len(work.points)
     keys = work.corners.ravel() * count + work.corners[:, [1, 2, 0]].ravel()
+    first = among(keys, boundary[:, 0] * count + boundary[:, 1])
+    wall = first | among(keys, boundary[:, 1] * count + boundary[:, 0])
     inside = np.zeros(len(work.corners), bool)
-    front = np.flatnonzero(among(keys, boundary[:, 0] * count + boundary[:, 1])) // 3
+    front = np.flatnonzero(first) // 3
     while len(front):
         inside[front] = True
         h = (3 * front[:, None] + np.arange(3)).ravel()
-        front = distinct(work.twin[h[~work.locked[h]]] // 3)
+        front = distinct(work.twin[h[~wall[h]]] // 3)
         front = front[(front >= 0) & ~inside[front]]
     return work.corners[inside]
 
