@@ -113,3 +113,27 @@ def test_bad_usage_is_one_clear_line_and_no_file(call, folder, arguments, text):
     before = names(folder)
     assert is_one_clear_line(call(*arguments), text)
     assert names(folder) == before
+
+
+def test_report_compares_meshes_of_which_one_has_quads(call, folder):
+    """As where --quads split made triangles of them."""
+    write(folder / "quads.vtu", meshes.mixed())
+    count = len(meshes.mixed().quads)
+    for before, after, head in (("quads.vtu", "tangled.vtu", (count, 0)), ("tangled.vtu", "quads.vtu", (0, count))):
+        done = call("report", before, after, "report.html", "--no-stages")
+        assert "Traceback" not in done.err
+        text = (folder / "report.html").read_text()
+        cells = [f'<td data-label="{name}">{n}</td>' for name, n in zip(("before", "after"), head, strict=True)]
+        assert f'<th scope="row">quads</th>{"".join(cells)}' in text
+        assert "smallest angle of a triangle or quad, average" in text
+        assert "after; numbers of elements" in text
+        assert text.count("90: square") == 2, "as title and as text of one chart"
+
+
+def test_report_finds_the_stages_where_quads_come_back_in_another_order(call, folder):
+    before = meshes.mixed()
+    after = improve(before)[0]
+    again = MeshBatch.from_arrays(after.points, after.triangles, quads=after.quads.flip(0).roll(1, 1))
+    write(folder / "before.vtu", before)
+    write(folder / "after.vtu", again)
+    assert call("report", "before.vtu", "after.vtu", "report.html").err == ""

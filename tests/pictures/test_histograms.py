@@ -68,3 +68,17 @@ def test_the_svg_is_as_high_as_the_counts(both, kind):
         assert np.diff(np.array(heights)[order]).max() <= 0
         top, bottom = np.argmax(counts), np.argmin(counts)
         assert heights[top] < heights[bottom]
+
+
+def test_elements_are_counted_where_quads_are_among_them():
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    mixed, triangles = meshes.mixed(), meshes.grid()
+    for before, after, counted in ((mixed, triangles, "elements"), (triangles, mixed, "elements"),
+                                   (triangles, triangles, "triangles")):  # fmt: skip
+        ends = quality(before), quality(after)
+        for found in (histograms.shapes(*ends), histograms.angles(before, after, *ends)):
+            ax = figure.add_subplot()
+            histograms.draw(ax, found)
+            assert ax.get_ylabel() == counted
+            assert ("square" in found.name) == (counted == "elements")
+        assert histograms.shapes(*ends).title == f"inverse mean ratio, all {counted}"

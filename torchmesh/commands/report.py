@@ -168,9 +168,9 @@ def _series_table(given: "Series", after: "Series", shown: int) -> "list[tuple[s
 
 
 def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:
-    """Whether two meshes have the same triangles at the same positions, up to what a file format may round off.
+    """Whether two meshes have the same elements at the same positions, up to what a file format may round off.
 
-    A format may begin a triangle at another corner, and list triangles and vertices in another order.
+    A format may begin an element at another corner, and list elements and vertices in another order.
     """
     import numpy as np
     import torch
@@ -178,8 +178,9 @@ def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:
 
     from ..mesh.batch import lift
 
-    if one.triangles.shape != other.triangles.shape or one.points.shape != other.points.shape:
-        return False
+    for here, there in ((one.triangles, other.triangles), (one.quads, other.quads), (one.points, other.points)):
+        if here.shape != there.shape:
+            return False
     extent = float((one.points.amax(0) - one.points.amin(0)).max())
     here, there = lift(one).double(), lift(other).double()
     row = torch.arange(len(here))
@@ -189,8 +190,10 @@ def _agree(one: "MeshBatch", other: "MeshBatch") -> bool:
         if float(np.max(away)) > 2 * _SAME_POSITION * extent or len(row.unique()) < len(row):
             return False
 
-    def in_order(triangles: "Tensor") -> "Tensor":
-        turn = (triangles.argmin(1)[:, None] + torch.arange(3)) % 3
-        return torch.unique(triangles.gather(1, turn), dim=0)
+    def in_order(faces: "Tensor") -> "Tensor":
+        corners = faces.shape[1]
+        turn = (faces.argmin(1)[:, None] + torch.arange(corners)) % corners
+        return torch.unique(faces.gather(1, turn), dim=0)
 
-    return torch.equal(in_order(one.triangles), in_order(row[other.triangles]))
+    pairs = ((one.triangles, other.triangles), (one.quads, other.quads))
+    return all(torch.equal(in_order(a), in_order(row[b])) for a, b in pairs if len(a))

@@ -1,6 +1,6 @@
 """The two histograms that pictures and the report page show: shapes and angles, before and after.
 
-    triangles of both meshes --shapes, angles--> Histogram --draw-->           matplotlib axes
+    elements of both meshes --shapes, angles--> Histogram --draw-->           matplotlib axes
                                                            --svg_histogram-->  the report page
 
 So both show the same numbers, however they are drawn.
@@ -34,6 +34,7 @@ class Histogram:
     title          of the picture
     name           of the axis
     logarithmic    space the axis by logarithms
+    counted        what the counts are of
     shade_below    shade the part of the axis below this value, where triangles are inverted; None: no part
     """
 
@@ -44,6 +45,7 @@ class Histogram:
     title: str
     name: str
     logarithmic: bool = False
+    counted: str = "triangles"
     shade_below: float | None = None
 
     def counts(self) -> tuple[np.ndarray, np.ndarray]:
@@ -54,25 +56,28 @@ class Histogram:
 
 
 def shapes(before: Quality, after: Quality) -> Histogram:
-    """The inverse mean ratios of all triangles of two meshes."""
+    """The inverse mean ratios of all triangles and quads of two meshes."""
+    counted = _counted(before, after)
     labels = [(t, f"{t:g}") for t in (1, 1.5, 2, 3, 5)]
     return Histogram(
         of_elements(before)[1],
         of_elements(after)[1],
         np.geomspace(1.0, _LARGEST_RATIO, _RATIO_BINS + 1),
         [*labels, (_LARGEST_RATIO, f"{_LARGEST_RATIO:g}+")],
-        "inverse mean ratio, all triangles",
-        "inverse mean ratio (1: equilateral)",
+        f"inverse mean ratio, all {counted}",
+        f"inverse mean ratio (1: equilateral{' or square' if counted == 'elements' else ''})",
         logarithmic=True,
+        counted=counted,
     )
 
 
 def angles(before: MeshBatch, after: MeshBatch, before_quality: Quality, after_quality: Quality) -> Histogram:
-    """The smallest angle of every triangle of two meshes; inverted triangles have negative angles."""
+    """The smallest angle of every triangle and quad of two meshes; inverted triangles have negative angles."""
     pairs = ((before, before_quality), (after, after_quality))
     values = [np.concatenate([signed_minimum_angles(*p), signed_narrowest_angles(*p)]) for p in pairs]
     inverted = min(float(v.min()) for v in values) < 0
-    quads = len(before.quads) > 0
+    counted = _counted(before_quality, after_quality)
+    quads = counted == "elements"
     largest = 1.5 * _LARGEST_ANGLE if quads else _LARGEST_ANGLE
     low = -largest if inverted else 0.0
     return Histogram(
@@ -83,8 +88,14 @@ def angles(before: MeshBatch, after: MeshBatch, before_quality: Quality, after_q
         f"smallest angle of each {'element' if quads else 'triangle'}"
         + (", inverted ones below zero" if inverted else ""),
         "smallest angle (degrees; 60: equilateral" + ("; 90: square)" if quads else ")"),
+        counted=counted,
         shade_below=0.0 if inverted else None,
     )
+
+
+def _counted(*ends: Quality) -> str:
+    """What the meshes consist of: 'triangles', or 'elements' where quads are among them."""
+    return "elements" if any(len(q.quad_inverse_mean_ratio) for q in ends) else "triangles"
 
 
 def draw(ax: Any, histogram: Histogram, legend: bool = False) -> None:
@@ -103,8 +114,8 @@ def draw(ax: Any, histogram: Histogram, legend: bool = False) -> None:
     ax.set_xlim(low, high)
     ax.set_title(histogram.title, fontsize=10)
     ax.set_xlabel(histogram.name, fontsize=9)
-    ax.set_ylabel("triangles", fontsize=9)
-    # One triangle must be seen.
+    ax.set_ylabel(histogram.counted, fontsize=9)
+    # A single one must be seen.
     ax.set_ylim(bottom=0.7)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)

@@ -78,6 +78,7 @@ def report_page(
         [len(mesh.triangles) + 2 * len(mesh.quads) for _, mesh in stages], [int(q.inverted[0]) for q in measured]
     )
     header, data = _picture(stages, measured, labels, shown, bent)
+    drawn = _histograms(stages, measured)
     places = places_left(stages[-1][1], measured[-1]) if len(stages) > 1 or report is not None else []
     header["places"] = [[*place.position, place.size] for place in places]
     names = ("before", "after") if len(stages) > 1 else ("mesh", "mesh")
@@ -88,7 +89,8 @@ def report_page(
         summary=escape(printable(" ".join(summary))),
         ticks=_ticks(),
         numbers=numbers_table(names, stages, measured),
-        histograms=_histograms(stages, measured),
+        histograms=drawn[0],
+        counted=drawn[1],
         steps=steps_table(labels, measured, steps, shown),
         series=series_section(series),
         places=places_list(places),
@@ -204,7 +206,9 @@ def _ticks() -> str:
     return "".join(parts)
 
 
-def _histograms(stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality]) -> str:
+def _histograms(stages: Sequence[tuple[str, MeshBatch]], measured: Sequence[Quality]) -> tuple[str, str]:
+    """The histograms as HTML, and what they count."""
     before, after = stages[0][1], stages[-1][1]
     ends = measured[0], measured[-1]
-    return svg_histogram(histograms.shapes(*ends)) + svg_histogram(histograms.angles(before, after, *ends))
+    both = histograms.shapes(*ends), histograms.angles(before, after, *ends)
+    return "".join(map(svg_histogram, both)), both[0].counted

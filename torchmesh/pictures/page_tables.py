@@ -25,7 +25,8 @@ def numbers_table(names: Sequence[str], stages: Sequence[tuple[str, MeshBatch]],
     measured  the quality of each stage
     """
     ends = [0, -1] if len(stages) > 1 else [0]
-    columns = [_numbers(stages[i][1], measured[i]) for i in ends]
+    mixed = any(len(stages[i][1].quads) for i in ends)
+    columns = [_numbers(stages[i][1], measured[i], mixed) for i in ends]
     rows = [
         f'<tr><th scope="row">{title}</th>'
         + "".join(_cell(column[title], title == _INVERTED and column[title] != 0) for column in columns)
@@ -87,8 +88,9 @@ def series_section(series: Sequence[tuple[str, Quality, Quality, bool]] | None) 
     return f'<section aria-labelledby="series-heading"><h2 id="series-heading">Time series</h2>{table}</section>'
 
 
-def _numbers(mesh: MeshBatch, quality: Quality) -> dict[str, int | float | str]:
-    quads = {"quads": len(mesh.quads)} if len(mesh.quads) else {}
+def _numbers(mesh: MeshBatch, quality: Quality, mixed: bool) -> dict[str, int | float | str]:
+    """A mesh in numbers, by the names of the rows; `mixed`: with those of quads, which it or another column has."""
+    quads = {"quads": len(mesh.quads)} if mixed else {}
     angle = np.abs(np.concatenate([signed_minimum_angles(mesh, quality), signed_narrowest_angles(mesh, quality)]))
     element = "triangle or quad" if quads else "triangle"
     return {

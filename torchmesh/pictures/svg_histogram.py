@@ -11,7 +11,7 @@ _WIDTH, _HEIGHT = 460, 240
 _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 12, 44
 _FLOOR = _HEIGHT - _BOTTOM
 
-# The axis of counts begins here: one triangle must be seen.
+# The axis of counts begins here: a single triangle must be seen.
 _LEAST_COUNT = 0.7
 
 
