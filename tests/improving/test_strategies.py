@@ -3,6 +3,7 @@
 import meshes
 import pytest
 import torch
+from both_loops import both, need_compiled_loops
 
 from torchmesh import ImproveOptions, RemeshOptions, SmoothOptions, Status, UntangleOptions, improve, join, target_from
 from torchmesh.improving.step_options import Rounds, StartAnew
@@ -99,6 +100,14 @@ def test_large_tangles_start_anew_unless_something_speaks_against_it():
         ImproveOptions(remesh=RemeshOptions(sizes="uniform")),
     ):
         assert "start_anew" not in steps_of(other)
+
+
+def test_by_torch_alone_nothing_starts_anew_and_no_report_says_so():
+    need_compiled_loops()
+    options = ImproveOptions(rounds=Rounds(anew=StartAnew(large=100)))
+    by_torch, compiled = both(lambda: stages(meshes.moved_hole(), options))
+    assert "place-anew" in compiled
+    assert "place-anew" not in by_torch
 
 
 def test_a_mesh_starts_anew_in_a_batch_as_alone():

@@ -141,11 +141,11 @@ def place_anew(share: float) -> Stage:
 
     share  regions in which no more than this share of the triangles is inverted stay
     """
-    from ..remeshing.anew_in_rows import anew_in_rows, is_quick
+    from ..remeshing.anew_in_rows import anew_in_rows
 
     def stage(state: State, monitor: Monitor | None) -> tuple[State, Work]:
         kept = torch.zeros_like(state.valid)
-        for b in range(len(state) if is_quick(state.mesh) else 0):
+        for b in range(len(state)):
             one = torch.arange(len(state)) == b
             before = state.select(one)
             mesh = anew_in_rows(before.mesh, before.quality, share)

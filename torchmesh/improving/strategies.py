@@ -140,14 +140,21 @@ def untangle_by_averaging(state: State, run: Runner, o: ImproveOptions) -> State
 
 
 def start_anew(state: State, run: Runner, o: ImproveOptions) -> State:
-    """Large tangles that averaging leaves in large meshes: the boundary says best where the vertices belong."""
+    """Large tangles that averaging leaves in large meshes: the boundary says best where the vertices belong.
+
+    Without compiled loops untangling takes less time, and this stage is left out.
+    """
     limits, triangles = o.rounds.anew, counts_from_offsets(state.mesh.triangle_offsets)
     if limits is None:
         return state
     at = state.tangled & ~state.faulty & ~state.impossible & (triangles >= limits.large)
     at = at & (state.quality.inverted > limits.share * triangles)
     at = at & (counts_from_offsets(state.mesh.quad_offsets) == 0)
-    return run("place-anew", place_anew(limits.share), state, at)[0] if bool(at.any()) else state
+    if not bool(at.any()):
+        return state
+    from ..remeshing.anew_in_rows import is_quick
+
+    return run("place-anew", place_anew(limits.share), state, at)[0] if is_quick(state.mesh) else state
 
 
 def untangle_with_flips(state: State, run: Runner, o: ImproveOptions) -> State:
