@@ -61,6 +61,16 @@ def test_a_mesh_that_is_valid_stays_where_it_is():
     assert torch.equal(found.points, mesh.points)
 
 
+def test_where_no_vertex_is_free_nothing_moves():
+    mesh, points, _ = scrambled()
+    system = NewtonSystem(
+        points, mesh.triangles, torch.zeros_like(mesh.fixed), target_of(corners(mesh.points, mesh.triangles))
+    )
+    found = push_areas(system, points, 0.3)
+    assert torch.equal(found.points, points)
+    assert found.iterations == 0
+
+
 def test_options_refuse_by_name():
     with pytest.raises(ValueError, match=r"LevenbergOptions\.poor"):
         LevenbergOptions(poor=0.9)

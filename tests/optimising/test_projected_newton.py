@@ -90,6 +90,16 @@ def test_vertices_that_are_not_free_stay_and_an_isolated_one_does_no_harm():
     assert bool(found.points.isfinite().all())
 
 
+def test_where_no_vertex_is_free_nothing_moves():
+    mesh = jittered(0.6)
+    target = target_of(corners(mesh.points, mesh.triangles))
+    system = NewtonSystem(mesh.points, mesh.triangles, torch.zeros_like(mesh.fixed), target)
+    assert len(system.number) == 0
+    found = minimise_by_projection(system, mesh.points, Regularised(0.1))
+    assert torch.equal(found.points, mesh.points)
+    assert found.iterations == 0
+
+
 @pytest.mark.parametrize("field", ["slope_tolerance", "floor"])
 def test_options_refuse_by_name(field):
     with pytest.raises(ValueError, match=f"ProjectedOptions.{field} must be at least 0"):

@@ -10,6 +10,7 @@ from exact import inverted
 
 import torchmesh as tm
 from torchmesh import EnoughFlips, enough_flips
+from torchmesh.errors import InvalidMeshError
 from torchmesh.untangling.enough_flips import FlipSearch
 
 
@@ -88,6 +89,29 @@ def test_a_valid_mesh_takes_no_flips_and_what_is_no_single_mesh_is_refused():
     assert found.replaced == 0
     with pytest.raises(ValueError, match="takes one mesh of triangles, not 2"):
         enough_flips(tm.join([meshes.grid(), meshes.grid()]))
+
+
+def test_a_flip_is_found_where_no_vertex_can_move():
+    """A square whose one corner is pushed in beyond the diagonal."""
+    square = tm.MeshBatch.from_arrays([[0.0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    pushed = square.with_points(torch.tensor([[1.0, 0], [0.25, 0.25], [0, 1], [0, 0]]).double())
+    found = enough_flips(pushed)
+    assert found is not None
+    assert found.edges == ((0, 2),)
+    assert inverted(found.mesh) == 0
+    _, report = tm.improve(pushed, tm.ImproveOptions(topology="keep"))
+    assert report.status.tolist() == [tm.Status.INFEASIBLE]
+    assert "1 flip is enough to make it possible: 0-2" in report.messages[0]
+
+
+@pytest.mark.parametrize("value", [float("nan"), 1e200])
+@pytest.mark.parametrize("vertex", [0, 12])
+def test_positions_that_one_cannot_compute_with_are_refused(vertex, value):
+    mesh = meshes.grid(4, 4)
+    points = mesh.points.clone()
+    points[vertex] = value
+    with pytest.raises(InvalidMeshError, match=f"mesh 0: points row {vertex} is"):
+        enough_flips(mesh.with_points(points))
 
 
 def test_without_trials_cavities_are_told():

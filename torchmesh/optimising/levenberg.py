@@ -53,9 +53,11 @@ class LevenbergOptions:
 def push_areas(system: NewtonSystem, points: Tensor, least: float, options: LevenbergOptions | None = None) -> Minimum:
     """Minimise the squares of what det J lacks to `least`, from `points` (V, 2), until no triangle is inverted."""
     options = options or LevenbergOptions()
+    energy = UntangleBeta(least / 2)
+    if not system.size:
+        return system.at_rest(points, energy)
     if system.compiled is not None:
         return Minimum(*system.compiled.pushed(points, system.weight, least, vars(options)))
-    energy = UntangleBeta(least / 2)
     zero = torch.zeros(4, len(system.triangles), dtype=torch.float64)
     _, holding = system.assembled(zero, torch.eye(4, dtype=torch.float64)[:, :, None].expand(4, 4, zero.shape[1]))
     value, det = system.energy(points, energy)

@@ -114,6 +114,8 @@ class NewtonSystem:
         from scipy.sparse.linalg import splu
 
         n = len(self.moving)
+        if not n:
+            return np.zeros(0, np.int64)
         row = torch.full((len(self.points),), -1, dtype=torch.int64)
         row[self.moving] = torch.arange(n)
         rows = row[self.triangles].numpy()
@@ -154,6 +156,11 @@ class NewtonSystem:
         """The sum of the energy, and det J (T,)."""
         stretch, det = self.invariants(points)
         return float((self.weight * energy.value(stretch, det)).sum()), det
+
+    def at_rest(self, points: Tensor, energy: Energy) -> Minimum:
+        """The minimum of a mesh in which no vertex moves."""
+        value, det = self.energy(points, energy)
+        return Minimum(points, det, value, value, 0)
 
     def direction(self, points: Tensor, energy: Energy, options: ProjectedOptions) -> tuple[np.ndarray, float]:
         """The Newton step (N,) in the coordinates of the free vertices, and the slope along it.
@@ -272,6 +279,8 @@ def minimise_by_projection(
     enough  stop as soon as the determinants of all triangles are positive
     """
     options = options or ProjectedOptions()
+    if not system.size:
+        return system.at_rest(points, energy)
     if isinstance(energy, Regularised | TotalLiftedContent) and system.compiled is not None:
         return Minimum(*system.compiled.minimised(points, system.weight, *_formula(energy), vars(options), enough))
     value, det = system.energy(points, energy)

@@ -18,9 +18,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from torch import Tensor
 
+from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import holding
 from ..mesh.measure import upright
+from ..mesh.unfit import unfit_meshes, what_is_unfit
 from .options import NewtonWays
 from .persisting import pushed, sizes_to_push
 from .wiring import Edge, Wiring, backwards, costs, edges_of, flip_apart, offers, way_between
@@ -118,10 +120,13 @@ def enough_flips(mesh: MeshBatch, options: FlipSearch | None = None) -> EnoughFl
 
     Constrained edges stay.  The search starts where `mesh` is, or at the Tutte embedding, whichever is less tangled.
 
-    Raises ValueError for more than one mesh, or for quads.
+    Raises ValueError for more than one mesh, or for quads, and InvalidMeshError for a position that is not finite, or
+    beyond 1e150.
     """
     if len(mesh) != 1 or len(mesh.quads):
         raise ValueError(f"enough_flips takes one mesh of triangles, not {len(mesh)} with {len(mesh.quads)} quads")
+    if bool(unfit_meshes(mesh)[0]):
+        raise InvalidMeshError(f"mesh 0: {what_is_unfit(mesh, 0)[0]}")
     held = holding(mesh).to("cpu")
     search = _Search(held, options or FlipSearch())
     found = search.found()
