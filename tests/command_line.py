@@ -88,12 +88,13 @@ def channel(rings: int = 6, quads: int = 2, around: int = 12) -> meshio.Mesh:
     i = np.arange(around)
     j = (i + 1) % around
     cells = [np.stack([i, i + around, j + around, j], 1) + k * around for k in range(rings)]
-    rest = np.concatenate(cells[quads:])
+    rest = np.concatenate(cells[quads:] or [np.zeros((0, 4), int)])
     blocks = [
         ("line", np.stack([i, j], 1)),
         ("triangle", np.concatenate([rest[:, [0, 1, 2]], rest[:, [0, 2, 3]]])),
         ("quad", np.concatenate(cells[:quads])),
     ]
+    blocks = [block for block in blocks if len(block[1])]
     groups = [np.full(len(data), 1 if kind == "line" else 2) for kind, data in blocks]
     return meshio.Mesh(
         points, blocks, cell_data={"gmsh:physical": groups, "gmsh:geometrical": groups},

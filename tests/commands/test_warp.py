@@ -5,7 +5,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from command_line import inverted, is_one_clear_line, plate
+from command_line import channel, inverted, is_one_clear_line, plate
 
 from torchmesh import read
 
@@ -175,6 +175,25 @@ def test_a_part_of_the_file_moves_by_its_name_with_its_layers_of_quads(call, fol
     assert call("warp", "channel.msh", "out.msh", "--scale", "body:1.2").status == 0
     scaled = np.linalg.norm(meshio.read(folder / "out.msh").points[quads], axis=1)
     assert scaled - np.linalg.norm(given.points[quads], axis=1) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("quads", [2, 6])
+@pytest.mark.parametrize("part", ["body", "hole:1", "-1.1,-1.1,1.1,1.1"])
+def test_what_is_near_a_wall_of_quads_is_carried_as_one_body(call, folder, part, quads):
+    """Layers of quads that go along anyway, and quads that go through to another boundary."""
+    channel(quads=quads).write(folder / "q.msh", file_format="gmsh22", binary=False)
+    given = meshio.read(folder / "q.msh").points
+    from_the_middle = np.linalg.norm(given, axis=1)
+    args = ["--rotate", f"{part}:20", "--move", f"{part}:0.1,0", "--steps", "auto", "-q"]
+    for distance in (0.6, 1.6):
+        done = call("warp", "q.msh", "out.msh", *args, "--rigid", f"{part}:{distance}")
+        assert (done.status, done.out, done.err) == (0, "", "")
+        body = from_the_middle < 1 + distance
+        assert body.sum() > 12
+        c, s = np.cos(np.radians(20)), np.sin(np.radians(20))
+        goal = given[:, :2] @ np.array([[c, s], [-s, c]]) + [0.1, 0.0]
+        off = np.abs(meshio.read(folder / "out.msh").points[:, :2] - goal).max(1)
+        assert off[body].max() < 1e-12
 
 
 def test_scales_for_each_axis_and_from_a_point(call, folder):

@@ -55,7 +55,7 @@ class Part:
             if not bool(inside.any()):
                 raise UsageError(f"{self.option}: no boundary vertex lies in that box")
             none = torch.zeros(0, dtype=torch.int64)
-            return Chosen(inside, none, none)
+            return Chosen(inside, none, none, _walls_between(mesh, inside))
         parts = parts_by_name(source)
         if self.name not in parts:
             names = list(parts)
@@ -64,7 +64,19 @@ class Part:
         part = parts[self.name]
         inside = torch.zeros(len(mesh.points), dtype=torch.bool)
         inside[part.vertices] = True
-        return Chosen(inside, part.layer, part.base)
+        return Chosen(inside, part.layer, part.base, part.edges)
+
+
+def _walls_between(mesh: "MeshBatch", inside: "Tensor") -> "Tensor":
+    """(K, 2) the edges of the boundary and of interfaces with both ends `inside` (V,) bool."""
+    import torch
+
+    from ..mesh import connectivity
+    from ..mesh.quads import halved
+
+    triangles = halved(mesh)
+    edges = torch.cat([connectivity.boundary_edges(triangles.triangles, triangles.twin), mesh.constrained_edges])
+    return edges[inside[edges].all(1)]
 
 
 # So many names are told where one is not known.
@@ -86,11 +98,13 @@ class Chosen:
     own    (V,) bool, those of the part itself
     layer  (L,) int64, those of the layers of quads that stand on it
     base   (L,) int64, for each of these the vertex of the part that it stands on
+    edges  (K, 2) int64, the edges of the part; named points have none
     """
 
     own: "Tensor"
     layer: "Tensor"
     base: "Tensor"
+    edges: "Tensor"
 
     @property
     def all(self) -> "Tensor":
@@ -120,16 +134,19 @@ class Follower:
         return cls(Part.of(option, words[:-1]), distance)
 
     def vertices(self, source: "Source") -> "Tensor":
-        """(V,) bool, the part and the free vertices within the distance of its edges; raises UsageError for none."""
-        from ..mesh import connectivity
+        """(V,) bool, the part and the free vertices so near to its edges and vertices; raises UsageError for none."""
+        import torch
 
-        mesh, part = source.mesh, self.part.chosen(source).own
-        edges = connectivity.boundary_edges(mesh.triangles, mesh.twin)
-        edges = edges[part[edges].all(1)]
-        a, b = mesh.points[edges].unbind(1)
+        mesh, chosen = source.mesh, self.part.chosen(source)
+        part = chosen.own
+        # Vertices that no edge of the part has count as points; those inside of named cells lie behind their outline.
+        alone = part & mesh.fixed if len(chosen.edges) else part.clone()
+        alone[chosen.edges] = False
+        points = alone.nonzero()
+        a, b = mesh.points[torch.cat([chosen.edges, points.expand(-1, 2)])].unbind(1)
         way = b - a
         length = way.square().sum(1).clamp_min(1e-300)
-        rows = (~mesh.fixed).nonzero().squeeze(1)
+        rows = (~mesh.fixed & ~part).nonzero().squeeze(1)
         inside = part.clone()
         for some in rows.split(1024):
             p = mesh.points[some][:, None]
