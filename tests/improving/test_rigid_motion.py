@@ -114,5 +114,17 @@ def test_a_wall_without_a_layer_is_refused_by_name():
         deform(mesh, mesh.points, layer="hole:1")
     with pytest.raises(InvalidMeshError, match="no part 'hole:7'"):
         deform(mesh, mesh.points, layer="hole:7")
-    with pytest.raises(InvalidMeshError, match="names no part"):
+    with pytest.raises(InvalidMeshError, match=r"names no part.* warp FILE --list tells the box"):
         deform(mesh, mesh.points, layer="wing")
+    for wrong in (3, ["hole:1", 3], torch.zeros(3)):
+        with pytest.raises(TypeError, match="layer must be the name of a wall"):
+            deform(mesh, mesh.points, layer=wrong)
+
+
+def test_a_wall_of_quads_says_that_they_need_no_layer():
+    mesh = meshes.quad_layers()
+    for batch in (mesh, join([mesh, channel()])):
+        with pytest.raises(InvalidMeshError, match=r"mesh 0: along hole:1 stand quads.* need no layer="):
+            deform(batch, batch.points, layer="hole:1")
+    with pytest.raises(InvalidMeshError, match="mesh 0: there is no layer along outer:1"):
+        deform(mesh, mesh.points, layer="outer:1")

@@ -78,5 +78,8 @@ def _box(name: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != 4 or not all(map(math.isfinite, values)):
-        raise InvalidMeshError(f"{name!r} names no part: expected outer:N, hole:N, or a box X0,Y0,X1,Y1")
+        raise InvalidMeshError(
+            f"{name!r} names no part: expected outer:N, hole:N, or a box X0,Y0,X1,Y1. A MeshBatch does not know the "
+            "groups of its file: torchmesh warp FILE --list tells the box that each of them fills"
+        )
     return values
