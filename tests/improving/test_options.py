@@ -1,9 +1,13 @@
 """Records of options refuse by name what no step can work with."""
 
 import math
+import re
 
+import numpy as np
 import pytest
 
+from torchmesh.improving.deform_options import DeformOptions, StepControl
+from torchmesh.improving.options import ImproveOptions
 from torchmesh.improving.step_options import LocalRepair, Refining, Rounds
 
 WRONG = [
@@ -36,6 +40,41 @@ WRONG = [
 @pytest.mark.parametrize(("record", "name", "value"), WRONG)
 def test_a_value_that_cannot_be_is_refused_by_name(record, name, value):
     with pytest.raises(ValueError, match=rf"{record.__name__}\.{name} must be at (least|most) \d.*, not {value}"):
+        record(**{name: value})
+
+
+@pytest.mark.parametrize("value", [2.5, 4.0, "3", None, True])
+@pytest.mark.parametrize(
+    ("record", "name"),
+    [
+        (DeformOptions, "rounds"),
+        (DeformOptions, "max_steps"),
+        (ImproveOptions, "smooth_rounds"),
+        (ImproveOptions, "untangle_rounds"),
+    ],
+)
+def test_numbers_of_rounds_and_steps_are_whole(record, name, value):
+    with pytest.raises(ValueError, match=rf"{record.__name__}\.{name} must be a whole number, not {value!r}"):
+        record(**{name: value})
+    assert getattr(record(**{name: np.int32(2)}), name) == 2
+
+
+@pytest.mark.parametrize("value", ["1", None, [], math.nan])
+@pytest.mark.parametrize(
+    ("record", "name"),
+    [
+        (DeformOptions, "stiffening"),
+        (DeformOptions, "part"),
+        (DeformOptions, "smallest_step"),
+        (StepControl, "shrink"),
+        (StepControl, "grow"),
+        (StepControl, "after_refusal"),
+        (StepControl, "negligible"),
+        (Refining, "sliver"),
+    ],
+)
+def test_what_is_no_number_is_refused_by_name(record, name, value):
+    with pytest.raises(ValueError, match=rf"{record.__name__}\.{name} must be .*, not {re.escape(repr(value))}"):
         record(**{name: value})
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 from ..mesh.batch import MeshBatch
 from ..optimising.targets import TargetFunction, Targets, check_topology
 from ..smoothing.smoothing import SmoothOptions
+from .checks import check_between_0_and_1, check_least, check_whole, is_number
 from .options import ImproveOptions
 from .step_options import Bound
 
@@ -28,13 +29,10 @@ class StepControl:
     negligible: float = 1e-9
 
     def __post_init__(self) -> None:
-        for name in ("shrink", "after_refusal"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"StepControl.{name} must be between 0 and 1, not {getattr(self, name)}")
-        if not self.grow >= 1:
-            raise ValueError(f"StepControl.grow must be at least 1, not {self.grow}")
-        if not 0 <= self.negligible < 1:
-            raise ValueError(f"StepControl.negligible must be at least 0 and below 1, not {self.negligible}")
+        check_between_0_and_1(self, "shrink", "after_refusal")
+        check_least(self, grow=1)
+        if not (is_number(self.negligible) and 0 <= self.negligible < 1):
+            raise ValueError(f"StepControl.negligible must be at least 0 and below 1, not {self.negligible!r}")
 
 
 @dataclass(frozen=True)
@@ -91,14 +89,10 @@ class DeformOptions:
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"DeformOptions.{name} must be one of {known}, not {getattr(self, name)!r}")
-        for name in ("part", "smallest_step"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"DeformOptions.{name} must be between 0 and 1, not {getattr(self, name)}")
-        if not 0 <= self.stiffening <= 4:
-            raise ValueError(f"DeformOptions.stiffening must be between 0 and 4, not {self.stiffening}")
-        for name in ("max_steps", "rounds"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"DeformOptions.{name} must be at least 1, not {getattr(self, name)}")
+        check_between_0_and_1(self, "part", "smallest_step")
+        if not (is_number(self.stiffening) and 0 <= self.stiffening <= 4):
+            raise ValueError(f"DeformOptions.stiffening must be between 0 and 4, not {self.stiffening!r}")
+        check_whole(self, max_steps=1, rounds=1)
         if self.when is not None and not isinstance(self.when, Bound):
             raise ValueError(f"DeformOptions.when must be a Bound or None, not {self.when!r}")
         if self.topology == "keep" and self.improve.topology == "full":

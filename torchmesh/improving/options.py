@@ -12,6 +12,7 @@ from ..remeshing.options import RemeshOptions
 from ..smoothing.polishing import PolishOptions
 from ..smoothing.smoothing import SmoothOptions
 from ..untangling.options import UntangleOptions
+from .checks import check_whole, is_number
 from .step_options import Bound, Damage, LeastGain, LocalRepair, Refining, Rounds
 
 
@@ -138,19 +139,17 @@ class ImproveOptions:
             raise ValueError(f"ImproveOptions.shapes must be 'auto' or 'equilateral', not {self.shapes!r}")
         check_topology(self.smooth.targets, self.topology)
         self._check_motion()
-        if self.workers is not None and self.workers < 1:
-            raise ValueError(f"ImproveOptions.workers must be at least 1, not {self.workers}")
-        for name in ("untangle_rounds", "smooth_rounds"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"ImproveOptions.{name} must be at least 1, not {getattr(self, name)}")
+        if self.workers is not None:
+            check_whole(self, workers=1)
+        check_whole(self, untangle_rounds=1, smooth_rounds=1)
 
     def _check_motion(self) -> None:
         if self.when is not None and not isinstance(self.when, Bound):
             raise ValueError(f"ImproveOptions.when must be a Bound or None, not {self.when!r}")
         if self.max_motion is None:
             return
-        if not self.max_motion > 0:
-            raise ValueError(f"ImproveOptions.max_motion must be positive, not {self.max_motion}")
+        if not (is_number(self.max_motion) and self.max_motion > 0):
+            raise ValueError(f"ImproveOptions.max_motion must be positive, not {self.max_motion!r}")
         if self.topology == "full" or self.method == "paper":
             raise ValueError(
                 "ImproveOptions.max_motion needs topology 'keep' or 'flip' and method 'default': elsewhere vertices "

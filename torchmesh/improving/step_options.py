@@ -4,14 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from ..untangling.options import NewtonWays, UntangleOptions
-
-
-def _check_least(options: object, **least: float) -> None:
-    """Raise ValueError for the first field of `options` that is below the least value named for it, or not a number."""
-    for name, bound in least.items():
-        value = getattr(options, name)
-        if not value >= bound:
-            raise ValueError(f"{type(options).__name__}.{name} must be at least {bound}, not {value}")
+from .checks import check_least
 
 
 @dataclass(frozen=True)
@@ -27,7 +20,7 @@ class StartAnew:
     share: float = 0.02
 
     def __post_init__(self) -> None:
-        _check_least(self, large=0, share=0)
+        check_least(self, large=0, share=0)
 
 
 @dataclass(frozen=True)
@@ -75,7 +68,7 @@ class Rounds:
     tells_flips: bool = True
 
     def __post_init__(self) -> None:
-        _check_least(self, flip_rounds=0, progress=0, patience=1, paper_patience=1, paper_quiet=1, rings_round_faults=0)
+        check_least(self, flip_rounds=0, progress=0, patience=1, paper_patience=1, paper_quiet=1, rings_round_faults=0)
         if self.progress > 1:
             raise ValueError(f"Rounds.progress must be at most 1, not {self.progress}")
 
@@ -109,7 +102,7 @@ class Refining:
     kept_again: int = 10
 
     def __post_init__(self) -> None:
-        _check_least(
+        check_least(
             self, first_flip_rounds=0, rest=0, little_gain=0, least_gain=0, least_gain_of_maximum=0, sliver=1,
             last_steps=0, coarse=1, kept_again=0,
         )  # fmt: skip
@@ -137,7 +130,7 @@ class LocalRepair:
     rings_by_width: float = 0.7
 
     def __post_init__(self) -> None:
-        _check_least(self, large=0, poor=1, excellent=1, share=0, rings=1, rings_by_width=0)
+        check_least(self, large=0, poor=1, excellent=1, share=0, rings=1, rings_by_width=0)
         if self.share > 1:
             raise ValueError(f"LocalRepair.share must be at most 1, the whole mesh, not {self.share}")
 
