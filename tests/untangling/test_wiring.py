@@ -40,6 +40,13 @@ def test_a_way_between_two_nets_leads_to_the_other_and_is_no_longer_than_a_way_r
         assert len(end.edges() - start.edges()) <= len(way) <= len(made)
 
 
+def test_a_way_crosses_edges_of_the_other_net_where_nothing_else_leads_on():
+    start = Wiring(meshes.grid(4, 4))
+    end, _ = scrambled(start, 80)
+    assert way_between(start, end, round_about=0) is None
+    assert faces(flipped(start, way_between(start, end))) == faces(end)
+
+
 def test_a_way_backwards_undoes_what_the_way_did():
     start = Wiring(meshes.grid(5, 5))
     end, made = scrambled(start, 12, seed=3)

@@ -17,7 +17,8 @@ from ..kernels.library import library_for
 
 # Squares are numbered by so many bits in each direction.
 _BITS = 26
-# The smallest squares would hold a quarter of a point if all lay evenly: so many levels below that of one for each.
+# Squares are halved until there is one for each goal or more, and then so many times again.  After one more time, goals
+# that lie evenly are in at most every fourth of the smallest squares.
 _FINER = 1
 
 

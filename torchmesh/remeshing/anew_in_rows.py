@@ -34,15 +34,18 @@ class InRowsOptions:
     inward     how the sizes of the boundary are continued inwards
     sample     sizes are continued over the boundary and so many other vertices for each edge of it
     least_sample  but over so many other vertices at least
-    fuller     the front places about so many times as many vertices as its sizes have room for (measured: 1.04 to 1.06)
+    fuller     a front makes about so many times as many triangles as equilateral triangles of its sizes would fill the
+               region (measured: 1.04 to 1.06).  Its sizes are therefore scaled such that the number of these
+               equilateral triangles is the number of triangles wanted, divided by `fuller`
     lacking    the share of the free vertices that the front may leave to be placed where circles are largest
     tries      how often the front is begun, each time with other sizes if the number of its vertices does not fit
     good       triangles of at most this inverse mean ratio have the size that is meant at their place
-    own_size   where such triangles have edges of more than so many times the size that the boundary would have there,
-               or of less than that part of it, the mesh has sizes of its own
-    own_share  a mesh that has them at more than this share of the vertices among good triangles is left alone.  Holes
-               that FEMWARP moved with the mesh round them left up to 0.33, 0.07 to 0.1 most of them; meshes with a wake
-               refined by 1.5, 2 and 4 had 0.53, 0.45 and 0.74
+    own_size   sizes that are continued from the boundary say how long edges round a vertex would be.  A vertex all of
+               whose triangles are good has a size of its own if its edges are more than so many times as long as that,
+               or if that is more than so many times as long as its edges
+    own_share  a region is left alone if more than this share of the vertices among good triangles have a size of their
+               own.  Holes that FEMWARP moved with the mesh round them left shares of up to 0.33, most of them 0.07 to
+               0.1; meshes with a wake refined by 1.5, 2 and 4 had 0.53, 0.45 and 0.74
     regions    meshes of more regions to be made anew are left alone, as each of them takes a look at the whole mesh
     """
 
@@ -176,7 +179,7 @@ class _Outline:
         return outline_mesher(self.points[self.vertices], self.held, self.edges, self.segments)
 
     def sizes(self, mesher: Mesher, triangles: int, options: InRowsOptions) -> Tensor:
-        """(N,) the sizes for so many triangles; the front reaches them as `InRowsOptions.fuller` says."""
+        """(N,) the sizes with which a front makes about so many triangles, by `InRowsOptions.fuller`."""
         background = mesher.background()
         of_points, of_triangles = (torch.tensor([0, len(rows)]) for rows in (self.vertices, background))
         mesh = MeshBatch(
@@ -185,6 +188,7 @@ class _Outline:
         size = boundary_sizes(mesh, torch.tensor([triangles]), options.inward)
         a, b, c = (mesh.points[corner] for corner in background.unbind(1))
         area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+        # So many equilateral triangles of these sizes would fill the region; there should be `triangles / fuller`.
         room = (area / size[background].mean(1).square()).sum() * (4 / SQRT3)
         return size * (options.fuller * room / triangles).sqrt()
 

@@ -70,7 +70,8 @@ def is_compiled(points: Tensor) -> bool:
 def outline_mesher(points: Tensor, held: Tensor, boundary: Tensor, segments: Tensor) -> Mesher:
     """A mesher for one domain, on the processor.
 
-    points    (V, 2) float64 with no power of two in common that could take products out of range
+    points    (V, 2) float64, in a unit of length near the size of the domain: products of coordinates must neither
+              overflow nor underflow, and exact signs need several factors
     held      (V,) bool, the vertices that must be in the mesh; the ends of boundary and segments are among them
     boundary  (N, 2) int64 edges with the domain on their left
     segments  (M, 2) int64 edges inside that must be in the mesh

@@ -50,21 +50,23 @@ class Descent:
 class FlipSearch:
     """How long `enough_flips` looks.
 
-    descents  tried one after the other; of meshes of more than `size` triangles fewer, but two
+    size      a mesh of up to so many triangles gets all `descents`, `trials` and `back`.  For a mesh of k times as many
+              triangles these numbers are divided: `descents` and `trials` by k, `back` by the root of k
+    descents  how flips are chosen, tried one after the other.  Of a mesh of more than `size` triangles the first ones
+              alone are tried, but at least two
     few       so few flips are good enough for no other descent to be tried
     best      lists of flips, the shortest ones, from which flips are taken back
     longer    of these, lists that are so many times as long as the shortest are left out
     rounds    of flips and of pushing areas in a descent, at most
     quiet     rounds without fewer inverted triangles than ever before, after which a descent ends
-    trials    single flips that are tried at most after a descent, for a mesh of up to `size` triangles; for a larger
-              one fewer
+    trials    single flips that are tried at most after a descent, for a mesh of up to `size` triangles
     width     flips of which the best is kept; one that leaves fewer inverted triangles is kept at once
     patience  flips without fewer inverted triangles than ever before, after which these trials end
     tabu      so many of the last edges that came by a flip are not flipped
     near      single flips are tried only if no more triangles than this are inverted after a descent
-    back      takings back of flips that are tried at most from one list; for a larger mesh fewer, by the root
+    back      how often, at most, it is tried to take flips of one list back, for a mesh of up to `size` triangles; at
+              least 8 times for a larger one
     shortened  other ways to the same triangles are looked for if a list has no more flips than this
-    size      see there
     ways      how areas are pushed
     """
 

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
+from ..mesh.certificate import euler_numbers
 from ..mesh.connectivity import boundary_edges
 from ..optimising.laplacian import harmonic_extension
 
@@ -32,25 +33,17 @@ def overlaid(mesh: MeshBatch, free: Tensor) -> Tensor | None:
     free  (V,) bool, the vertices that move: all but those of the boundary
     """
     from ..triangulating.arrays import Obstacle
-    from ..triangulating.polygon import loops_of
     from ..triangulating.polygon_triangulation import triangulate_polygon
 
-    boundary = boundary_edges(mesh.triangles, mesh.twin).numpy()
     used = torch.zeros_like(free).index_fill_(0, mesh.triangles.ravel(), True)
-    if len(boundary) != int((used & ~free).sum()) or bool(free[torch.from_numpy(boundary)].any()):
-        return None
-    loops = loops_of(boundary)
-    inside = int((used & free).sum())
-    if (
-        len(loops) != 1
-        or inside + len(boundary) - (3 * len(mesh.triangles) + len(boundary)) // 2 + len(mesh.triangles) != 1
-    ):
+    loops = loops_around(mesh, used & ~free, 1)
+    if loops is None:
         return None
     points = mesh.points.to(torch.float64)
     work = triangulate_polygon(points.numpy().copy(), loops, np.ones(len(points)))
     if isinstance(work, Obstacle):
         return None
-    angle = 2 * np.pi * np.arange(len(boundary)) / len(boundary)
+    angle = 2 * np.pi * np.arange(len(loops[0])) / len(loops[0])
     circle = torch.zeros_like(points)
     circle[torch.from_numpy(loops[0])] = torch.from_numpy(np.stack([np.cos(angle), np.sin(angle)], 1))
     one = torch.ones(len(mesh.triangles), dtype=torch.float64)
@@ -60,6 +53,23 @@ def overlaid(mesh: MeshBatch, free: Tensor) -> Tensor | None:
     over = points.clone()
     over[moves] = through_cells(there[moves], circle[cells], points[cells])
     return over.to(mesh.points)
+
+
+def loops_around(mesh: MeshBatch, held: Tensor, count: int) -> list[np.ndarray] | None:
+    """The vertices of each loop of the boundary; None unless the mesh is in one piece and has so many simple loops.
+
+    held  (V,) bool, the vertices of triangles that do not move; None is returned if they are not those of the boundary
+    """
+    from ..triangulating.polygon import loops_of
+
+    boundary = boundary_edges(mesh.triangles, mesh.twin)
+    # Simple loops have as many vertices as edges.
+    if len(boundary) != int(held.sum()) or not bool(held[boundary].all()):
+        return None
+    loops = loops_of(boundary.numpy())
+    # V - E + F is 1 for a disc, and one less for each hole.
+    in_one_piece = int(euler_numbers(mesh, mesh.twin)) == 2 - count
+    return loops if len(loops) == count and in_one_piece else None
 
 
 def through_cells(at: Tensor, here: Tensor, there: Tensor) -> Tensor:

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from ..mesh.batch import MeshBatch
-from ..mesh.connectivity import boundary_edges
 from ..optimising.laplacian import harmonic_extension
-from .overlay import through_cells
+from .overlay import loops_around, through_cells
 
 Edge = tuple[int, int]
 
@@ -31,16 +30,12 @@ def overlaid_rings(mesh: MeshBatch, free: Tensor) -> list[Tensor]:
     free  (V,) bool, the vertices that move: all but those of the boundary
     """
     from ..triangulating.arrays import Obstacle
-    from ..triangulating.polygon import loops_of, turns_left
+    from ..triangulating.polygon import turns_left
     from ..triangulating.polygon_triangulation import triangulate_polygon
 
-    boundary = boundary_edges(mesh.triangles, mesh.twin).numpy()
     used = torch.zeros_like(free).index_fill_(0, mesh.triangles.ravel(), True)
-    if len(boundary) != int((used & ~free).sum()) or bool(free[torch.from_numpy(boundary)].any()):
-        return []
-    loops = loops_of(boundary)
-    faces = len(mesh.triangles)
-    if len(loops) != 2 or int(used.sum()) - (3 * faces + len(boundary)) // 2 + faces != 0:
+    loops = loops_around(mesh, used & ~free, 2)
+    if loops is None:
         return []
     points = mesh.points.to(torch.float64)
     if turns_left(points.numpy(), loops)[0] < 0:
@@ -53,7 +48,7 @@ def overlaid_rings(mesh: MeshBatch, free: Tensor) -> list[Tensor]:
         return []
     corners, along = strip
     moves = (used & free).nonzero().squeeze(1)
-    one = torch.ones(faces, dtype=torch.float64)
+    one = torch.ones(len(mesh.triangles), dtype=torch.float64)
     high = torch.zeros_like(points)
     high[torch.from_numpy(loops[1]), 1] = 1.0
     high = harmonic_extension(mesh.triangles, (one, one, one), ~free, high, mesh.point_offsets)[moves, 1]

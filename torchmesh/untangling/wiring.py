@@ -73,11 +73,14 @@ def edges_of(face: list[int]) -> tuple[Edge, Edge, Edge]:
 
 
 def offers(wiring: Wiring, points: np.ndarray, size: np.ndarray, least: float, every: bool) -> list[tuple[float, Edge]]:
-    """Edges that can be flipped, and how much that adds to the squares of what areas lack to a bound; best ones first.
+    """Edges that can be flipped, each after its cost; those of the lowest cost first.
+
+    The cost of a flip is what it adds to a sum over all triangles: a triangle whose area is less than a bound counts
+    with the square of the difference, and any other with 0.  A flip of negative cost makes the mesh less tangled.
 
     points  (V, 2) float64
     size    (V,) the usual length of an edge around each vertex
-    least   the bound, a part of the area of an equilateral triangle of that size
+    least   the bound; areas are measured in units of that of an equilateral triangle whose edges have the usual length
     every   the edges of all triangles below the bound are looked at; otherwise those of inverted triangles alone
     """
     faces = np.array(wiring.faces)
@@ -88,7 +91,7 @@ def offers(wiring: Wiring, points: np.ndarray, size: np.ndarray, least: float, e
 
 
 def costs(wiring: Wiring, edges: list[Edge], points: np.ndarray, size: np.ndarray, least: float) -> list[float]:
-    """How much flipping each of the edges adds to the squares of what areas lack; infinite if it cannot be flipped."""
+    """What flipping each of the edges costs, as `offers` says; infinite if it cannot be flipped."""
     corners = [(*edge, *(wiring.across(*edge) or (-1, -1))) for edge in edges]
     a, b, c, d = np.array(corners, np.int64).reshape(-1, 4).T
     around = np.stack([a, b, c, b, a, d, a, d, c, d, b, c], 1).reshape(-1, 4, 3)
@@ -131,40 +134,70 @@ def way_between(start: Wiring, end: Wiring, longest: int = 4, round_about: int =
     """Flips that lead from the triangles of one net to those of another; None where none were found.
 
     Edges of `end` are put in one by one, first those that one flip puts in, then those that two do, and so on: along a
-    strip of triangles that leads from one end to the other, all edges that it crosses are flipped so that they begin
-    at the one.  Edges of `end` that are there already stay, so that each time fewer are left to be put in; where no
-    edge can be put in so, they may be flipped, too.
+    strip of triangles that leads from one end of the edge to the other, all edges that it crosses are flipped so that
+    they begin at the one.  Such strips do not cross edges of `end` that are there already, so that each time fewer are
+    left to be put in.  Where no edge can be put in so, one is put in along a strip that may cross them, too.
 
     longest      strips cross so many edges at most
-    round_about  so often edges of `end` may be flipped
+    round_about  how often, at most, an edge is put in along a strip that may cross edges of `end`
     """
     wiring, goal = start.copy(), end.edges()
     rows = dict[int, set[int]]()
     for row, face in enumerate(wiring.faces):
         for v in face:
             rows.setdefault(v, set()).add(row)
+    made = _put_in_all(wiring, rows, goal, longest)
+    for _ in range(round_about):
+        if goal <= wiring.edges():
+            break
+        flips = _put_in_one(wiring, rows, goal, longest)
+        if flips is None:
+            return None
+        made += flips + _put_in_all(wiring, rows, goal, longest)
+    return made if goal <= wiring.edges() else None
+
+
+def _put_in_all(wiring: Wiring, rows: dict[int, set[int]], goal: set[frozenset[int]], longest: int) -> list[Edge]:
+    """Put in edges of the goal along strips that cross none of them, as long as there are such strips; the flips."""
     made = list[Edge]()
-    crossings, stay = 1, goal
+    crossings = 1
     while crossings <= longest:
-        missing = sorted(goal - wiring.edges(), key=sorted)
-        if not missing:
-            return made
-        found = False
-        for edge in missing:
-            one, other = sorted(edge)
-            for a, b in ((one, other), (other, one)):
-                strip = _strip(wiring, rows, a, b, stay, crossings)
-                flips = None if strip is None else _fanned(wiring, rows, a, strip)
-                if flips:
-                    break
-            if flips:
-                made += flips
-                found = True
-                if not stay:
-                    break
-        crossings, stay = (1, goal) if found else (crossings + 1, stay)
-        if crossings > longest and stay and round_about > 0:
-            crossings, stay, round_about = 2, set[frozenset[int]](), round_about - 1
+        flips = list[Edge]()
+        for edge in _missing(wiring, goal):
+            flips += _put_in(wiring, rows, edge, goal, crossings) or ()
+        made += flips
+        # An edge that is put in may make room for others, by fewer flips.
+        crossings = 1 if flips else crossings + 1
+    return made
+
+
+def _put_in_one(
+    wiring: Wiring, rows: dict[int, set[int]], goal: set[frozenset[int]], longest: int
+) -> list[Edge] | None:
+    """Put in one edge of the goal along a strip that may cross others of them; the flips, None if there are none."""
+    for crossings in range(2, longest + 1):
+        for edge in _missing(wiring, goal):
+            flips = _put_in(wiring, rows, edge, set(), crossings)
+            if flips is not None:
+                return flips
+    return None
+
+
+def _missing(wiring: Wiring, goal: set[frozenset[int]]) -> list[frozenset[int]]:
+    """The edges of the goal that are not there, in the order of their vertices."""
+    return sorted(goal - wiring.edges(), key=sorted)
+
+
+def _put_in(
+    wiring: Wiring, rows: dict[int, set[int]], edge: frozenset[int], stay: set[frozenset[int]], crossings: int
+) -> list[Edge] | None:
+    """Put in an edge along a strip that crosses so many edges at most, and none of `stay`; the flips."""
+    one, other = sorted(edge)
+    for a, b in ((one, other), (other, one)):
+        strip = _strip(wiring, rows, a, b, stay, crossings)
+        flips = None if strip is None else _fanned(wiring, rows, a, strip)
+        if flips is not None:
+            return flips
     return None
 
 
