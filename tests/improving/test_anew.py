@@ -150,3 +150,84 @@ def test_a_mesh_with_a_handle_is_not_made_anew(seed):
     _, report = improve(mesh, FULL)
     assert not bool(report.valid[0])
     assert all(not row.kept for row in report.steps[0] if row.stage == "anew")
+
+
+def square(shift: float = 0.0, hole: bool = False) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points and triangles of a unit square of 16 x 16 cells, perhaps with a hole of 4 x 4 in its middle."""
+    mesh = meshes.grid(16, 16)
+    points, triangles = mesh.points / mesh.points.max(), mesh.triangles
+    if hole:
+        away = (points[triangles].mean(1) - 0.5).abs().amax(1) > 2 / 16
+        used, rows = triangles[away].unique(return_inverse=True)
+        points, triangles = points[used], rows
+    return points + torch.tensor([shift, 0.0]), triangles
+
+
+def within(points: torch.Tensor, x: float, cells: int) -> torch.Tensor:
+    """(V,) bool: at most so many cells from (x, 0.5), along both axes."""
+    return ((points - torch.tensor([x, 0.5])).abs() <= cells / 16 + 1e-9).all(1)
+
+
+def rim_of(mesh: tm.MeshBatch, inside: torch.Tensor) -> torch.Tensor:
+    """(K, 2) the edges round the triangles all of whose corners are `inside`."""
+    part = mesh.triangles[inside[mesh.triangles].all(1)]
+    half = torch.cat([part[:, [0, 1]], part[:, [1, 2]], part[:, [2, 0]]]).tolist()
+    return torch.tensor([[u, v] for u, v in half if [v, u] not in half])
+
+
+def hole_over_a_fixed_vertex() -> tm.MeshBatch:
+    points, triangles = square(hole=True)
+    fixed = within(points, 0.75, 0)
+    mesh, to = tm.MeshBatch.from_arrays(points, triangles, fixed=fixed), points.clone()
+    to[within(points, 0.5, 2)] += torch.tensor([0.25, 0.0])
+    return tm.femwarp(mesh, to)
+
+
+def inclusion(to: float, hole: bool) -> tm.MeshBatch:
+    """An inclusion whose interface has gone to x = `to`, half as large."""
+    points, triangles = square(hole=hole)
+    inside = within(points, 0.8125, 2)
+    mesh = tm.MeshBatch.from_arrays(points, triangles)
+    mesh = dataclasses.replace(mesh, constrained_edges=rim_of(mesh, inside))
+    moved = (points - torch.tensor([0.8125, 0.5])) / 2 + torch.tensor([to, 0.5])
+    return mesh.with_points(torch.where(inside[:, None], moved, points))
+
+
+def hole_in_another_part() -> tm.MeshBatch:
+    (points, triangles), (others, more) = square(hole=True), square(shift=2.0)
+    to = torch.where(within(points, 0.5, 2)[:, None], points + torch.tensor([2.0, 0.0]), points)
+    return tm.MeshBatch.from_arrays(torch.cat([to, others]), torch.cat([triangles, more + len(points)]))
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [hole_over_a_fixed_vertex(), inclusion(2.0, hole=False), inclusion(0.5, hole=True), hole_in_another_part()],
+    ids=["hole over a fixed vertex", "inclusion outside", "inclusion in a hole", "hole in another part"],
+)
+def test_what_has_gone_out_of_its_region_is_told_as_under_flip(mesh):
+    """The boundary alone is that of a domain, in which vertices, interfaces or regions would be lost."""
+    after, report = improve(mesh, FULL)
+    _, other = improve(mesh)
+    assert not bool(report.valid[0])
+    assert report.status[0] == other.status[0]
+    assert report.messages[0] == other.messages[0]
+    assert len(after.triangles) == len(mesh.triangles)
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.7])
+def test_no_vertex_is_put_on_a_boundary_edge_that_is_longer_than_the_size_asked_for(factor):
+    points, triangles = square()
+    points[8 * 17 + 8] += 0.3
+    sizes = RemeshOptions(sizes=lambda p: torch.full((len(p),), factor / 16, dtype=p.dtype))
+    _, report = improve(tm.MeshBatch.from_arrays(points, triangles), dataclasses.replace(FULL, remesh=sizes))
+    assert bool(report.certified)
+    assert float(report.quality.max[0]) < 1.5
+
+
+def test_where_the_boundary_cannot_follow_a_size_the_better_shapes_are_taken():
+    points, triangles = square()
+    points[8 * 17 + 8] += 0.3
+    sizes = RemeshOptions(sizes=lambda p: torch.full((len(p),), 10 / 16, dtype=p.dtype))
+    _, report = improve(tm.MeshBatch.from_arrays(points, triangles), dataclasses.replace(FULL, remesh=sizes))
+    assert bool(report.certified)
+    assert float(report.quality.mean[0]) < 2

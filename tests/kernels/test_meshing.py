@@ -47,7 +47,7 @@ def test_the_same_vertices_and_triangles(generator, name):
     edges = mesh.points[boundary_edges(mesh.triangles, mesh.twin)]
     least = float((edges[:, 0] - edges[:, 1]).norm(dim=1).mean()) / 2
     size = least * (1 + 0.5 * torch.rand(len(mesh.points), generator=generator, dtype=torch.float64))
-    made = [mesher.mesh(size, 0.7071, 0.5) for mesher in (compiled, twin)]
+    made = [mesher.mesh(size, 0.7071, 0.5, 0.05) for mesher in (compiled, twin)]
     assert len(made[0][1]) > 5
     for one, other in zip(*made, strict=True):
         assert torch.equal(one, other)
@@ -58,9 +58,9 @@ def test_the_same_vertices_where_circles_are_largest(generator, name):
     mesh = outlines(generator)[name]
     edges = mesh.points[boundary_edges(mesh.triangles, mesh.twin)]
     size = torch.full((len(mesh.points),), float((edges[:, 0] - edges[:, 1]).norm(dim=1).mean())).double()
-    placed = len(both_meshers(mesh)[0].mesh(size, 0.7071, 0.5)[1])
+    placed = len(both_meshers(mesh)[0].mesh(size, 0.7071, 0.5, 0.05)[1])
     for few, wanted, count in ((0, placed + 7, placed + 7), (placed + 1, placed + 7, placed)):
-        made = [mesher.mesh(size, 0.7071, 0.5, (few, wanted)) for mesher in both_meshers(mesh)]
+        made = [mesher.mesh(size, 0.7071, 0.5, 0.05, (few, wanted)) for mesher in both_meshers(mesh)]
         assert len(made[0][1]) == count
         for one, other in zip(*made, strict=True):
             assert torch.equal(one, other)

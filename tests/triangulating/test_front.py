@@ -62,7 +62,7 @@ def test_a_square_with_a_hole_is_filled_exactly(loops):
     given = outline(square(divided=8), square(0.3, 4, 0.4, 0.3, turned=True))
     mesher = outline_mesher(*given)
     assert mesher.fault == 0
-    triangles, points, _, corners, weights = mesher.mesh(sizes(given, 0.12), FRONT.done, FRONT.room)
+    triangles, points, _, corners, weights = mesher.mesh(sizes(given, 0.12), *FRONT.numbers)
     every = torch.cat([given[0], points]).tolist()
     areas = areas_of(every, triangles.tolist())
     assert min(areas) > 0
@@ -86,7 +86,7 @@ def test_edges_inside_stay_and_vertices_outside_do_not_come_in(loops):
     # Of two vertices in one position one is in the background, and none that is on the boundary or outside.
     assert len(used) == 2
     assert len(loop) in used
-    triangles = mesher.mesh(sizes(given, 0.25), FRONT.done, FRONT.room)[0].tolist()
+    triangles = mesher.mesh(sizes(given, 0.25), *FRONT.numbers)[0].tolist()
     assert any({2, 10} <= set(t) for t in triangles)
 
 

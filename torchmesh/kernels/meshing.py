@@ -23,7 +23,7 @@ class _Outline(ctypes.Structure):
 class _Front(ctypes.Structure):
     """`FrontOptions` of source/front.cpp."""
 
-    _fields_ = [("done", DOUBLE), ("room", DOUBLE)]
+    _fields_ = [("done", DOUBLE), ("room", DOUBLE), ("low", DOUBLE)]
 
 
 class OutlineMesher:
@@ -50,10 +50,10 @@ class OutlineMesher:
         return triangles
 
     def mesh(
-        self, size: Tensor, done: float, room: float, filled: tuple[int, int] | None = None
+        self, size: Tensor, done: float, room: float, low: float, filled: tuple[int, int] | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The triangles (T, 3); of the new vertices positions, sizes, corners and weights."""
-        mesher, size, options = ADDRESS(self._mesher), size.contiguous(), _Front(done, room)
+        mesher, size, options = ADDRESS(self._mesher), size.contiguous(), _Front(done, room, low)
         call("tm_mesher_begin", None, mesher, ADDRESS(pointer(size)), ctypes.byref(options))
         while not call("tm_mesher_advance", INT32, mesher, INT64(_STEPS)):
             pass

@@ -1,5 +1,6 @@
 """Is the frame of a mesh - boundary, constrained edges, holes, fixed vertices - what it was?"""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
@@ -8,6 +9,7 @@ from torch import Tensor
 from . import connectivity
 from .batch import MeshBatch
 from .connectivity import keys_of
+from .kept_edges import constrained_half_edges
 from .ragged import counts_from_offsets, owner_of, segment_count, true_rows
 
 if TYPE_CHECKING:
@@ -82,6 +84,75 @@ def _whole(edges: Tensor, old_row: Tensor) -> Tensor:
         onward = (around[here] - before).clamp(0, len(old_row) - 1)
         before, here = torch.where(inserted, here, before), torch.where(inserted, onward, here)
     return torch.stack([old_row[start], old_row[here]], 1)
+
+
+def same_regions(before: MeshBatch, after: MeshBatch, new_row: Tensor) -> Tensor:
+    """(B,) bool: the same edges bound the same regions, and fixed vertices inside lie in the same ones.
+
+    A region is what boundary and constrained edges part from the rest; its sides are the half-edges that run along them
+    in it.  Where holes, inclusions or fixed vertices have gone elsewhere, no mesh has all the old regions.
+
+    new_row  (V,) int64 the rows of the vertices of `before` in `after`, -1 for those that are gone
+    """
+    old, new, size = _Regions.of(before), _Regions.of(after), len(after.points)
+    same = torch.ones(len(before), dtype=torch.bool, device=new_row.device)
+    # A side whose end is gone gets a key that no side has.
+    ends = new_row[old.sides]
+    keys = torch.where((ends >= 0).all(1), ends[:, 0] * size + ends[:, 1], -1)
+    new_keys, order = (new.sides[:, 0] * size + new.sides[:, 1]).sort()
+    there = torch.isin(keys, new_keys)
+    same[owner_of(old.sides[~there, 0], before.point_offsets)] = False
+    same[owner_of(new.sides[order[~torch.isin(new_keys, keys)], 0], after.point_offsets)] = False
+    at = order[torch.searchsorted(new_keys, keys[there])]
+
+    inside = true_rows(before.fixed & (old.of_vertex >= 0))
+    to = new_row[inside]
+    lost = (to < 0) | (new.of_vertex[to] < 0)
+    same[owner_of(inside[lost], before.point_offsets)] = False
+    inside, to = inside[~lost], to[~lost]
+
+    first = torch.cat([old.of_side[there], old.of_vertex[inside]])
+    second = torch.cat([new.of_side[at], new.of_vertex[to]])
+    mixed = ~(_one_for_each(first, second) & _one_for_each(second, first))
+    vertex = torch.cat([old.sides[there, 0], inside])
+    same[owner_of(vertex[mixed], before.point_offsets)] = False
+    return same
+
+
+@dataclass(frozen=True, eq=False)
+class _Regions:
+    """The regions of a batch, which boundary and constrained edges part from each other.
+
+    sides      (N, 2) int64 the ends of the half-edges along these edges
+    of_side    (N,) int64 the region of each
+    of_vertex  (V,) int64 the region of each vertex inside one, -1 for those on sides or in no triangle
+    """
+
+    sides: Tensor
+    of_side: Tensor
+    of_vertex: Tensor
+
+    @classmethod
+    def of(cls, batch: MeshBatch) -> "_Regions":
+        blocked = (batch.twin < 0) | constrained_half_edges(batch)
+        region = connectivity.triangle_components(batch.triangles, batch.twin, blocked)
+        h, corners = true_rows(blocked), batch.triangles.reshape(-1)
+        sides = torch.stack([connectivity.tails(batch.triangles)[h], connectivity.heads(batch.triangles)[h]], 1)
+        of_vertex = torch.full((len(batch.points),), -1, device=corners.device)
+        of_vertex[corners] = region.repeat_interleave(3)
+        of_vertex[sides.reshape(-1)] = -1
+        return cls(sides, region[h // 3], of_vertex)
+
+
+def _one_for_each(first: Tensor, second: Tensor) -> Tensor:
+    """(N,) bool: whatever number of `first` (N,) a row has, all rows with it have the same number of `second` (N,)."""
+    if not len(first):
+        return torch.zeros_like(first, dtype=torch.bool)
+    least, most = (
+        second.new_zeros(int(first.max()) + 1).scatter_reduce_(0, first, second, how, include_self=False)
+        for how in ("amin", "amax")
+    )
+    return (least == most)[first]
 
 
 def euler_numbers(batch: MeshBatch, twin: Tensor) -> Tensor:

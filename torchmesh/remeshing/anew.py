@@ -244,9 +244,7 @@ def _fronts(given: MeshBatch, meshers: list[Mesher], size: Tensor, options: Fron
     """The new positions, and the triangles (T, 3) of each mesh, where the new ones come after the old vertices."""
     unit, starts = centre_and_unit(given.points, given.point_offsets)[1], given.point_offsets.tolist()
     scaled = size / spread(unit, given.point_offsets)
-    found = [
-        mesher.mesh(scaled[starts[b] : starts[b + 1]], options.done, options.room) for b, mesher in enumerate(meshers)
-    ]
+    found = [mesher.mesh(scaled[starts[b] : starts[b + 1]], *options.numbers) for b, mesher in enumerate(meshers)]
     owner = torch.arange(len(found)).repeat_interleave(torch.tensor([len(f[1]) for f in found]))
     points, wanted, corners, weights = (torch.cat([f[i] for f in found]) for i in range(1, 5))
     corners += given.point_offsets[owner][:, None]

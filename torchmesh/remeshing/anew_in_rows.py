@@ -219,7 +219,7 @@ def _placed(outline: _Outline, mesher: Mesher, size: Tensor, options: InRowsOpti
     few = int((1 - options.lacking) * wanted)
     for turn in range(options.tries):
         mesher = outline.mesher() if turn else mesher
-        triangles, positions, *_ = mesher.mesh(size, options.front.done, options.front.room, (few, wanted))
+        triangles, positions, *_ = mesher.mesh(size, *options.front.numbers, (few, wanted))
         found = len(positions)
         if found == wanted:
             return triangles, positions

@@ -29,10 +29,19 @@ class FrontOptions:
           an equilateral triangle.  With 0.7071 edges have 0.97 times their sizes on average, with 0.75 0.99, at means
           within 0.001 of each other; on stretched boundaries 0.7071 had the lowest maxima.  0.65 is worse
     room  a new vertex is at least so many times the size wanted away from those round it
+    low   and at least so many times the length of an edge that must stay away from that edge.  Without this limit,
+          vertices were put on boundary edges longer than the size wanted: the centre of a right triangle's circle is on
+          its long side.  In a part that is narrower than its edges are long, a vertex at 0.1 was better than none
     """
 
     done: float = 0.7071
     room: float = 0.5
+    low: float = 0.05
+
+    @property
+    def numbers(self) -> tuple[float, float, float]:
+        """What a mesher is told."""
+        return self.done, self.room, self.low
 
 
 class Mesher(Protocol):
@@ -48,10 +57,11 @@ class Mesher(Protocol):
         """(T, 3) int64 the triangles of all vertices that are in the domain; those of the others are in none."""
 
     def mesh(
-        self, size: Tensor, done: float, room: float, filled: tuple[int, int] | None = None
+        self, size: Tensor, done: float, room: float, low: float, filled: tuple[int, int] | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The mesh for sizes (V,), which are read at the vertices of the background.
 
+        done, room, low  as `FrontOptions` has them
         filled  if the front places at least the first number of vertices, but fewer than the second one, further ones
                 go to the centres of the circles that are largest for the size wanted, the largest first, up to that
                 number as far as there is room

@@ -42,11 +42,11 @@ class OutlineMesher:
         return _triangles_of(self.grown)
 
     def mesh(
-        self, size: Tensor, done: float, room: float, filled: tuple[int, int] | None = None
+        self, size: Tensor, done: float, room: float, low: float, filled: tuple[int, int] | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The triangles (T, 3); of the new vertices positions, sizes, corners and weights."""
         d = self.triangulation
-        self.done, self.room = done, room
+        self.done, self.room, self.low = done, room, low
         self.size, self.near = [*size.tolist(), *[0.0] * 4], [0] * len(d.x)
         self.radius, self.stamp = list[float](), list[int]()
         self.waiting: list[tuple[float, int, int]] = []
@@ -232,7 +232,7 @@ class OutlineMesher:
         d.x.append(px)
         d.y.append(py)
         d.at.append(-1)
-        if not d.insert(p, where, self.room * here):
+        if not d.insert(p, where, self.room * here, self.low):
             for values in (d.x, d.y, d.at):
                 values.pop()
             return False

@@ -113,8 +113,12 @@ class Incremental:
             before, t = t, self.twin[across] // 3
         return -1
 
-    def insert(self, p: int, t: int, room: float = 0.0) -> bool:
-        """Put the vertex p into the triangle t, which it is in or on, unless something is in its way."""
+    def insert(self, p: int, t: int, room: float = 0.0, low: float = 0.0) -> bool:
+        """Put the vertex p into the triangle t, which it is in or on, unless something is in its way.
+
+        room  the least distance from the vertices round it; 0: any, and any height
+        low   the least height above a locked edge round it, over the length of that edge
+        """
         px, py = self.x[p], self.y[p]
         banned: set[int] = set()
         for attempt in range(_TRIES):
@@ -130,8 +134,10 @@ class Incremental:
                 return False
             banned.add(hidden[-1] // 3)
         for h in rim if room > 0 else ():
-            dx, dy = self.x[self.vertex[h]] - px, self.y[self.vertex[h]] - py
-            if dx * dx + dy * dy < room * room:
+            u, w = self.vertex[h], self.vertex[next_of(h)]
+            dx, dy, ex, ey = px - self.x[u], py - self.y[u], self.x[w] - self.x[u], self.y[w] - self.y[u]
+            too_low = self.locked[h] and ex * dy - ey * dx < low * (ex * ex + ey * ey)
+            if dx * dx + dy * dy < room * room or too_low:
                 return False
         self._fill(p, cavity, rim)
         return True

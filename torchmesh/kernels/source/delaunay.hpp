@@ -75,7 +75,7 @@ class Delaunay {
 
     // Puts the vertex p in; `t` is a triangle that it is in or on.  False, and nothing has changed, where it lies on a
     // locked edge or on another vertex, or, if `room` is given, where a corner of its cavity is nearer than that.
-    bool insert(Row p, Row t, double room = 0) {
+    bool insert(Row p, Row t, double room = 0, double low = 0) {
         const double px = x[p], py = y[p];
         banned.clear();
         for (int tries = 0; tries < 32; ++tries) {
@@ -90,8 +90,12 @@ class Delaunay {
         }
         if (room > 0)
             for (const Row h : rim) {
-                const double dx = x[vertex[h]] - px, dy = y[vertex[h]] - py;
+                const double dx = px - x[vertex[h]], dy = py - y[vertex[h]];
                 if (dx * dx + dy * dy < room * room) return false;
+                if (!locked[h]) continue;
+                const Row w = vertex[next_in_triangle(h)];
+                const double ex = x[w] - x[vertex[h]], ey = y[w] - y[vertex[h]];
+                if (ex * dy - ey * dx < low * (ex * ex + ey * ey)) return false;
             }
         fill_cavity(p);
         return true;

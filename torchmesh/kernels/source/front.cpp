@@ -29,6 +29,7 @@ struct Outline {
 // Must have the fields of kernels/meshing.py, `_Front`, in the same order.
 struct FrontOptions {
     double done, room;  // circumradius over size below which a triangle is done; distance of vertices over size
+    double low;  // least height of a new vertex above a locked edge over the length of that edge
 };
 
 std::uint64_t mixed(std::uint64_t i) {
@@ -293,7 +294,7 @@ class Mesher {
         if (!(here > 0)) here = usual;
         const Row p = Row(mesh->x.size());
         mesh->x.push_back(px), mesh->y.push_back(py), mesh->at.push_back(-1);
-        if (!mesh->insert(p, where, options.room * here)) {
+        if (!mesh->insert(p, where, options.room * here, options.low)) {
             mesh->x.pop_back(), mesh->y.pop_back(), mesh->at.pop_back();
             return false;
         }
