@@ -217,6 +217,25 @@ def test_an_unreadable_file_says_so(tmp_path, monkeypatch):
         read(path)
 
 
+@pytest.mark.parametrize("kind", ["point_data", "cell_data"])
+def test_data_with_too_few_rows_is_one_line(tmp_path, monkeypatch, kind):
+    """Whatever a reader makes of a file: nobody behind it meets rows that are not there."""
+    path, whole = save(tmp_path / "a.vtu", grid()), VtkXmlFormat.read
+
+    def short(form, at):
+        document = whole(form, at)
+        data = getattr(document.mesh, kind)
+        name = next(iter(data))
+        data[name] = data[name][:3] if kind == "point_data" else [values[:3] for values in data[name]]
+        return document
+
+    monkeypatch.setattr(VtkXmlFormat, "read", short)
+    with pytest.raises(
+        MeshIOError, match=rf"a\.vtu: cannot be read as vtu: its {kind.replace('_', ' ')} .* not one row"
+    ):
+        read(path)
+
+
 @pytest.fixture
 def mesh() -> MeshBatch:
     return MeshBatch.from_arrays(*grid_arrays())

@@ -28,6 +28,7 @@ def load(path: Path) -> Document:
             with translated(path, "read", form.name):
                 document = form.read(path)
                 _check(document.mesh)
+                _check_data(document.mesh)
             if not form.counts and _ends_in_a_line(path):
                 warn(about(path, "it ends in the middle of a line; the file may be cut short"))
             return document
@@ -53,6 +54,21 @@ def _check(mesh: meshio.Mesh) -> None:
         width = meshio._mesh.num_nodes_per_cell.get(block.type, rows.shape[1])
         if len(rows) and rows.shape[1] != width:
             raise ValueError(f"its {block.type} cells have {rows.shape[1]} vertices instead of {width}")
+
+
+def _check_data(mesh: meshio.Mesh) -> None:
+    """Raises ValueError if data has not one row for each point, or for each cell of each block."""
+    for name, values in mesh.point_data.items():
+        if np.ndim(values) < 1 or len(values) != len(mesh.points):
+            raise ValueError(f"its point data {name!r} has not one row for each of {len(mesh.points)} points")
+    for name, blocks in mesh.cell_data.items():
+        if len(blocks) != len(mesh.cells):
+            raise ValueError(f"its cell data {name!r} is given for {len(blocks)} of {len(mesh.cells)} blocks of cells")
+        for block, values in zip(mesh.cells, blocks, strict=True):
+            if np.ndim(values) < 1 or len(values) != len(block.data):
+                raise ValueError(
+                    f"its cell data {name!r} has not one row for each of {len(block.data)} {block.type} cells"
+                )
 
 
 def _ends_in_a_line(path: Path) -> bool:

@@ -72,7 +72,8 @@ class Draft:
                 )
             return cls(path, mesh, like, same_rows, True, source, dropped, (), stale)
         fitted, unheld = form.fit(mesh)
-        remarks = tuple(form.remarks(like, same_rows))
+        converted = [] if like is not None and same_rows else form.conversions(mesh)
+        remarks = (*form.remarks(like, same_rows), *converted)
         return cls(path, fitted, like, same_rows, False, source, dropped, tuple(sorted(unheld)), (), remarks)
 
     @property

@@ -2,11 +2,14 @@
 
 import warnings
 
+import meshio
 import numpy as np
 import pytest
 from decks import POINTS, TRIANGLES, flip_and_move, stale
+from file_contents import save
 
 import torchmesh as tm
+from torchmesh.files.documents import load
 from torchmesh.files.source import Source
 
 netCDF4 = pytest.importorskip("netCDF4")
@@ -130,3 +133,46 @@ def test_values_of_node_sets_at_nodes_that_moved_are_named(tmp_path):
         d.createVariable("vals_nset_var1ns1", "f8", ("time_step", "num_nod_ns1"))[:] = [[3.0, 4.0]]
     factors, results = "distribution factors of node set 'bottom'", "results of node set 'bottom'"
     assert stale(path) == [f"{factors} at 1 node, {results} at 1 node"]
+
+
+def square_with(**point_data):
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]])
+    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    return meshio.Mesh(points, [("triangle", faces)], point_data=point_data)
+
+
+def test_vectors_become_a_result_for_each_component(tmp_path):
+    values = np.arange(15.0).reshape(5, 3)
+    long = "a name of more than thirty-two bytes"
+    save(tmp_path / "in.vtu", square_with(velocity=values, Température=values[:, 0], **{long: values[:, :2]}))
+    with pytest.warns(tm.MeshWarning) as told:
+        tm.write(tmp_path / "a.e", tm.read(tmp_path / "in.vtu"), like=tmp_path / "in.vtu")
+    texts = [str(one.message) for one in told]
+    assert f"{tmp_path / 'a.e'}: 'velocity' is written as velocity_x, velocity_y, velocity_z" in texts
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tm.write(tmp_path / "b.e", tm.read(tmp_path / "a.e"), like=tmp_path / "a.e")
+    data = load(tmp_path / "b.e").mesh.point_data
+    assert list(data) == ["velocity_x", "velocity_y", "velocity_z", "Température", f"{long[:30]}_x", f"{long[:30]}_y"]
+    for axis, name in enumerate(list(data)[:3]):
+        np.testing.assert_array_equal(data[name], values[:, axis])
+
+
+def test_vectors_in_the_way_of_meshio_are_read_and_stay(tmp_path):
+    values = np.arange(15.0).reshape(5, 3)
+    square_with(velocity=values).write(tmp_path / "a.e")
+    mesh = tm.read(tmp_path / "a.e")
+    points = mesh.points.clone()
+    points[4] += 0.1
+    tm.write(tmp_path / "b.e", mesh.with_points(points), like=tmp_path / "a.e")
+    np.testing.assert_array_equal(load(tmp_path / "b.e").mesh.point_data["velocity"], values)
+
+
+def test_a_result_of_a_wrong_shape_is_one_line(tmp_path):
+    square_with(velocity=np.zeros((3, 3))[[0, 1, 2, 0, 1]]).write(tmp_path / "a.e")
+    with netCDF4.Dataset(tmp_path / "a.e", "r+") as data:
+        data.createVariable("vals_nod_var2", "f8", ("num_dim", "num_dim"))[:] = 0
+        data.renameVariable("vals_nod_var1", "unused")
+        data.renameVariable("vals_nod_var2", "vals_nod_var1")
+    with pytest.raises(tm.MeshIOError, match=r"a\.e: .*'velocity' is a table of 3 by 3 numbers instead of steps by 5"):
+        tm.read(tmp_path / "a.e")

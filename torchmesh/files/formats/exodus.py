@@ -6,6 +6,7 @@ https://sandialabs.github.io/seacas-docs/exodusII-new.pdf
 """
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,12 @@ from .meshio_formats import MeshioFormat
 from .sides import edges_of, followed
 
 BLOCK = "exodus:block"
+
+# So many bytes of a name a new file has room for.
+_NAME = 32
+
+# How the components of a vector are called, by how many there are; those of others are numbered.
+_AXES = {2: "xy", 3: "xyz"}
 
 _VOLUME = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 20: "hexahedron20", 27: "hexahedron27"}
 _PLANAR = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
@@ -67,7 +74,36 @@ class ExodusFile:
 
 @dataclass(frozen=True)
 class ExodusFormat(MeshioFormat):
-    """Exodus files.  A new file that follows no other is written by meshio."""
+    """Exodus files.  A new file that follows no other is written by meshio.
+
+    A result is one number for each node.  A field of several components becomes as many results, `velocity_x` and so
+    on, which is how programs name the components of a vector.
+    """
+
+    def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        fitted, lost = super().fit(mesh)
+        fitted.point_data = {name: values for _, parts in _scalars(mesh) for name, values in parts.items()}
+        return fitted, lost
+
+    def conversions(self, mesh: meshio.Mesh) -> list[str]:
+        told = [f"{name!r} is written as {', '.join(parts)}" for name, parts in _scalars(mesh) if [name] != [*parts]]
+        sets = zip(mesh.point_sets, _short(list(mesh.point_sets)), strict=True)
+        return told + [f"the name {name!r} is cut to {short!r}" for name, short in sets if name != short]
+
+    def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        import netCDF4
+
+        # meshio writes one byte of each character, and fails for long names: they are put in afterwards.
+        fields, sets = list(mesh.point_data), _short(list(mesh.point_sets))
+        made = meshio.Mesh(
+            mesh.points, mesh.cells, point_sets={str(k): rows for k, rows in enumerate(mesh.point_sets.values())},
+            point_data={str(k): values for k, values in enumerate(mesh.point_data.values())},
+        )  # fmt: skip
+        super().write(path, made, like, same_rows)
+        with netCDF4.Dataset(str(path), "r+") as data:
+            for variable, names in (("name_nod_var", fields), ("ns_names", sets)):
+                for k, name in enumerate(names):
+                    data.variables[variable][k] = np.array([*name.encode().ljust(_NAME + 1, b"\0")], "u1").view("S1")
 
     def read(self, path: Path) -> Document:
         import netCDF4
@@ -121,6 +157,39 @@ class ExodusFormat(MeshioFormat):
 EXODUS = ExodusFormat(
     "exodus", (".e", ".exo", ".ex2"), ("vertex", *LINEAR, "higher"), cell_data="none", point_sets=True
 )
+
+
+def _scalars(mesh: meshio.Mesh) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
+    """The point data of a mesh, and for each the results that hold it, by names that a file has room for."""
+    columns: list[tuple[str, str, np.ndarray]] = []
+    for name, values in mesh.point_data.items():
+        values = np.asarray(values)
+        values = values.astype(np.int32) if values.dtype.kind == "b" else values
+        flat = values.reshape(len(values), -1) if values.ndim > 1 else values[:, None]
+        axes = _AXES.get(flat.shape[1], [str(k + 1) for k in range(flat.shape[1])])
+        ends = [f"_{axis}" for axis in axes] if values.ndim > 1 else [""]
+        columns += [(name, end, column) for end, column in zip(ends, flat.T, strict=True)]
+    short = _short([name for name, _, _ in columns], [end for _, end, _ in columns])
+    for name in mesh.point_data:
+        yield name, {s: values for s, (own, _, values) in zip(short, columns, strict=True) if own == name}
+
+
+def _short(names: list[str], ends: list[str] | None = None) -> list[str]:
+    """The names with their ends, cut to what a file has room for, no two alike."""
+    found: list[str] = []
+    for name, end in zip(names, ends or [""] * len(names), strict=True):
+        made, count = _cut(name, end), 1
+        while made in found:
+            count += 1
+            made = _cut(name, f"{end}_{count}")
+        found.append(made)
+    return found
+
+
+def _cut(name: str, end: str) -> str:
+    """A name without the middle of it that no file has room for; no character is cut in two."""
+    raw = name.encode(errors="replace")
+    return raw[: _NAME - len(end.encode())].decode(errors="ignore") + end
 
 
 def _names(data: Any, variable: str, count: int, else_: str) -> list[str]:
@@ -253,14 +322,14 @@ def _read_results(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> None:
         return
     for k, name in enumerate(_names(data, "name_nod_var", _size(data, "num_nod_var"), "nodal"), 1):
         if f"vals_nod_var{k}" in data.variables:
-            mesh.point_data[name] = _columns(data.variables[f"vals_nod_var{k}"])
+            mesh.point_data[name] = _columns(data.variables[f"vals_nod_var{k}"], name, len(mesh.points))
             file.nodal[name] = k
     for k, name in enumerate(_names(data, "name_elem_var", _size(data, "num_elem_var"), "elemental"), 1):
         blocks = []
         for number, block in zip(file.blocks, mesh.cells, strict=True):
             variable = data.variables.get(f"vals_elem_var{k}eb{number}")
             shape = (len(block.data),) if steps == 1 else (len(block.data), steps)
-            blocks.append(np.full(shape, np.nan) if variable is None else _columns(variable))
+            blocks.append(np.full(shape, np.nan) if variable is None else _columns(variable, name, len(block.data)))
         mesh.cell_data[name] = blocks
         file.elemental[name] = k
     others = {"vals_glo_var": "global results", "vals_nset_var": "results of node sets", "vals_sset_var": "results of "
@@ -278,9 +347,19 @@ def _cell_numbers(data: Any, mesh: meshio.Mesh, file: ExodusFile) -> dict[str, n
     return numbers_by_type(mesh, [numbers[starts[n - 1] : starts[n - 1] + len(block.data)] for n, block in blocks])
 
 
-def _columns(variable: Any) -> np.ndarray:
-    """(n,) the values of the only step, or (n, steps)."""
-    values = np.asarray(variable[:], float).T
+def _columns(variable: Any, name: str, count: int) -> np.ndarray:
+    """(count,) the values of the only step, or (count, steps).
+
+    meshio writes vectors, which Exodus does not know, as (1, count, components): they are read as rows of components.
+    Raises ValueError for another table.
+    """
+    values = np.asarray(variable[:], float)
+    if values.ndim == 3 and values.shape[:2] == (1, count):
+        return values[0]
+    if values.ndim != 2 or values.shape[1] != count:
+        shape = " by ".join(map(str, values.shape))
+        raise ValueError(f"its result {name!r} is a table of {shape} numbers instead of steps by {count}")
+    values = values.T
     return values[:, 0] if values.shape[1] == 1 else np.ascontiguousarray(values)
 
 
@@ -315,4 +394,5 @@ def _write_results(data: Any, mesh: meshio.Mesh, like: Document, changed: np.nda
 
 
 def _put(variable: Any, values: np.ndarray) -> None:
-    variable[:] = np.atleast_2d(np.asarray(values).T)
+    values = np.asarray(values)
+    variable[:] = values[None] if variable.ndim == 3 else np.atleast_2d(values.T)

@@ -146,6 +146,10 @@ class Format(abc.ABC):
         """What is written otherwise than in `like`, and nothing is lost by it; arguments as those of `write`."""
         return []
 
+    def conversions(self, mesh: meshio.Mesh) -> list[str]:
+        """What of a mesh, as `fit` takes it, a new file holds in another way, and nothing is lost by it."""
+        return []
+
     def recognises(self, head: bytes) -> bool:
         """Can a file with these first bytes (4096 at most) be of this format?
 
