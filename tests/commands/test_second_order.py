@@ -121,3 +121,13 @@ def test_commands_draw_the_curves(call, folder):
     assert stages[0]["curves"] == stages[-1]["curves"] == 20
     assert call("improve", "ring.vtu", "b.vtu", "--plot", "p.svg").status == 0
     assert (folder / "p.svg").stat().st_size > 10_000
+
+
+def test_values_at_mid_side_nodes_ride_with_the_boundary_in_steps(call, folder):
+    points, six = cm.annulus(around=16, layers=4)
+    cm.save(folder / "ring.vtu", points, six, point_data={"x": points[:, 0].copy()})
+    done = call("warp", "ring.vtu", "out.vtu", "--move", "outer:1:1,0", "--move", "hole:1:1,0", "--steps", "auto")
+    assert (done.status, done.err) == (0, "")
+    made = meshio.read(folder / "out.vtu")
+    assert np.abs(made.points[:, :2] - points[:, :2] - [1, 0]).max() > 1e-3, "vertices were smoothed"
+    assert np.abs(made.point_data["x"] - (made.points[:, 0] - 1)).max() < 1e-3

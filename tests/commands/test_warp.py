@@ -196,6 +196,47 @@ def test_what_is_near_a_wall_of_quads_is_carried_as_one_body(call, folder, part,
         assert off[body].max() < 1e-12
 
 
+def shaken(folder: Path, **motion) -> meshio.Mesh:
+    """plate.vtu with vertices that are in need of smoothing, and fields of which the values are known."""
+    given = meshio.read(folder / "plate.vtu")
+    hole, outer = parts()
+    free = ~hole & ~outer
+    given.points[free, :2] += np.random.default_rng(0).uniform(-0.02, 0.02, (free.sum(), 2))
+    given.point_data = {"x": given.points[:, 0].copy(), "number": np.arange(len(given.points))}
+    given.cell_data = {"one": [np.ones(len(given.cells[0].data))]}
+    given.write(folder / "fields.vtu")
+    return given
+
+
+@pytest.mark.parametrize("way", [["--steps", "auto"], ["--steps", "3"], ["--improve"]])
+def test_values_ride_with_the_boundary_and_keep_their_places_where_vertices_are_smoothed(call, folder, way):
+    given = shaken(folder)
+    move = ["--move", "hole:1:0.000001,0"]
+    done = call("warp", "fields.vtu", "out.vtu", *move, *way)
+    assert (done.status, done.err) == (0, "")
+    assert done.out.splitlines()[-1] == "fields: 1 point field interpolated, 1 cell field averaged over overlaps"
+    made = meshio.read(folder / "out.vtu")
+    assert np.abs(made.points - given.points).max() > 1e-3, "vertices were smoothed"
+    assert np.abs(made.point_data["x"] - made.points[:, 0]).max() < 2e-6
+    assert np.abs(made.cell_data["one"][0] - 1).max() < 1e-12
+    assert (made.point_data["number"] == np.arange(len(made.points))).all()
+    done = call("warp", "fields.vtu", "out.vtu", *move, *way, "--fields", "drop")
+    assert done.out.splitlines()[-1] == "fields: dropped: one, x"
+    assert set(meshio.read(folder / "out.vtu").point_data) == {"number"}
+    assert "fields:" not in call("warp", "fields.vtu", "out.vtu", *move, *way, "--fields", "carry").out
+    assert (meshio.read(folder / "out.vtu").point_data["x"] == given.point_data["x"]).all()
+
+
+def test_a_warp_alone_moves_nothing_but_the_material_and_its_values(call, folder):
+    given = shaken(folder)
+    done = call("warp", "fields.vtu", "out.vtu", "--move", "hole:1:0.05,0")
+    assert (done.status, done.err) == (0, "")
+    assert "fields:" not in done.out
+    made = meshio.read(folder / "out.vtu")
+    assert (made.point_data["x"] == given.point_data["x"]).all()
+    assert (made.cell_data["one"][0] == 1).all()
+
+
 def test_scales_for_each_axis_and_from_a_point(call, folder):
     points, (hole, _) = plate()[0], parts()
     assert call("warp", "plate.msh", "out.vtu", "--scale", "hole:1:1.2,0.9").status == 0

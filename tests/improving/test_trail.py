@@ -118,3 +118,24 @@ def test_deform_refuses_a_gradient_by_name():
         deform(mesh, moved(mesh, 0.1).requires_grad_())
     with torch.no_grad():
         deform(mesh, moved(mesh, 0.1).requires_grad_())
+
+
+def test_a_trail_may_keep_smoothing_apart_from_the_motion():
+    """Then only the boundary moves a vertex within a piece; otherwise smoothing may be a part of it."""
+    mesh = channel()
+    goal = torch.where(mesh.fixed[:, None], mesh.points + 1.0, mesh.points)
+    after, report = deform(mesh, goal, trail="apart")
+    assert report.trail is not None
+    *steps, end = report.trail[0]
+    for piece in steps:
+        # The whole boundary shifts, and all that it carries with it.
+        shift = piece.after.points - piece.before.points
+        assert torch.allclose(shift, shift[:1].expand_as(shift), rtol=0, atol=1e-12)
+    assert end.start == end.end == 1
+    assert end.previous is not None
+    assert torch.allclose(end.previous.points, mesh.points + 1.0, rtol=0, atol=1e-12)
+    assert same(end.before, after)
+    assert not same(end.previous, after), "it was smoothed on arrival"
+    assert same(deform(mesh, goal, trail=True)[0], after)
+    with pytest.raises(ValueError, match="trail must be"):
+        deform(mesh, goal, trail="a part")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from ..files.field_transfer import FieldSummary
     from ..files.placed import CurvedSummary
     from ..improving.report import Progress
     from ..mesh.batch import MeshBatch
@@ -287,6 +288,12 @@ def print_comparison(title: str, columns: dict[str, dict[str, Any]]) -> None:
         if key == "inverted" and any(CURVED in record for record in columns.values()):
             made.add_row("minimum scaled Jacobian", *(number(r[CURVED]) for r in columns.values()))
     stdout().print(made)
+
+
+def print_fields(summary: "FieldSummary") -> None:
+    """Says what became of the fields of a file, if anything did."""
+    if str(summary):
+        stdout().print(f"fields: {summary}", soft_wrap=True)
 
 
 def print_counts(title: str, counts: dict[str, int]) -> None:

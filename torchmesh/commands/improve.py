@@ -305,8 +305,7 @@ def _print_notes(report: "Report", draft: "SeriesDraft") -> None:
         console.stdout().print(f"found: {note}", soft_wrap=True)
     if report.regions is not None:
         _print_regions(report.regions)
-    if str(draft.fields):
-        console.stdout().print(f"fields: {draft.fields}", soft_wrap=True)
+    console.print_fields(draft.fields)
 
 
 def _print_regions(regions: "RegionAreas") -> None:

@@ -15,6 +15,8 @@ from . import console
 from .errors import UsageError
 from .motion_options import Follower, Motion
 from .shared_options import (
+    Fields,
+    FieldsOption,
     Height,
     HeightOption,
     InArgument,
@@ -30,6 +32,7 @@ from .targets import check_mesh_target, target_of
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..files.field_transfer import FieldChoice
     from ..files.parts import Part as FilePart
     from ..files.surface import HeightChoice
     from ..files.time_series import Series, SeriesDraft
@@ -116,6 +119,7 @@ def warp(
     steps: StepsOption = None,
     rigid: RigidOption = None,
     regions: RegionsOption = None,
+    fields: FieldsOption = Fields.interpolate,
     height: HeightOption = Height.interpolate,
     strict: StrictOption = False,
     in_place: InPlaceOption = False,
@@ -131,6 +135,9 @@ def warp(
     step moves. Coordinates and vectors are those of the file: X and Z of a mesh in the x-z plane; in a tilted plane
     the two that --list shows, or all three. Interfaces between regions follow as the rest of the interior does,
     unless the point field 'fixed' marks them.
+
+    Values ride with their vertices where these follow the boundary. Where --improve and --steps move vertices to better
+    places or flip edges, --fields says what becomes of them.
 
     A large motion inverts triangles. That is no failure: the mesh is written and the count is said. With --steps
     none inverts on the way; a boundary that runs into itself stops there, standard error says where, and the exit
@@ -163,8 +170,8 @@ def warp(
     goals = [motion.apply(of_mesh) for of_mesh in given.first_sources()]
     boundary, hold = (torch.cat(parts) for parts in zip(*goals, strict=True))
     if steps is not None:
-        return _deform(given, boundary, hold, steps, target, height.value, strict, quiet, followers)
-    return _warp(given, boundary, hold, improve_too, target, height.value, strict, quiet)
+        return _deform(given, boundary, hold, steps, target, fields.value, height.value, strict, quiet, followers)
+    return _warp(given, boundary, hold, improve_too, target, fields.value, height.value, strict, quiet)
 
 
 def _list(path: Path, regions: str | None) -> int:
@@ -207,6 +214,7 @@ def _warp(
     hold: "Tensor",
     improve_too: bool,
     target: Path,
+    fields: "FieldChoice",
     height: "HeightChoice",
     strict: bool,
     quiet: bool,
@@ -230,16 +238,19 @@ def _warp(
         "warped": console.record(warped, after, curved),
     }
     if not improve_too:
-        _save(draft_series(target, warped, given, height=height, placed=placed), strict)
+        draft = draft_series(target, warped, given, height=height, placed=placed)
     else:
         with console.progress(quiet) as show:
-            (improved,) = improve_series([replace(given, batch=warped)], ImproveOptions(), height=height, progress=show)
+            moved = replace(given, batch=warped)
+            (improved,) = improve_series([moved], ImproveOptions(), fields=fields, height=height, progress=show)
         after = improved.report.quality
         curved = improved.curved
         columns["improved"] = console.record(join(improved.meshes), after, curved)
-        _save(improved.draft(target), strict)
+        draft = improved.draft(target)
+    _save(draft, strict)
     if not quiet:
         console.print_comparison(str(target), columns)
+        console.print_fields(draft.fields)
     if improve_too:
         return console.verdict(f"in {target}", after, improved.message(), curved)
     inverted = console.inverted_text(after, curved)
@@ -254,6 +265,7 @@ def _deform(
     hold: "Tensor",
     steps: str,
     target: Path,
+    fields: "FieldChoice",
     height: "HeightChoice",
     strict: bool,
     quiet: bool,
@@ -274,16 +286,20 @@ def _deform(
         bodies = [torch.cat([f.vertices(source) for source in given.first_sources()]) for f in followers]
         rigid = torch.stack(bodies).any(0) if bodies else None
         count: Literal["auto"] | int = "auto" if steps == "auto" else int(steps)
-        after, report = deform(mesh, boundary, count, progress=show, rigid=rigid, hold=hold)
+        after, report = deform(mesh, boundary, count, progress=show, rigid=rigid, hold=hold, trail="apart")
+    assert report.trail is not None
+    ridden = [[(piece.before, piece.after) for piece in own if piece.end > piece.start] for own in report.trail]
     meshes, placed = with_nodes(given, _with_given_nodes(given, after, boundary, report.status).split(), None)
     after, curved = join(meshes), curved_summary(meshes, placed)
-    _save(draft_series(target, after, given, height=height, placed=placed), strict)
+    draft = draft_series(target, after, given, fields=fields, height=height, placed=placed, steps=ridden)
+    _save(draft, strict)
     if not quiet:
         columns = {
             "undeformed": console.record(mesh, quality(mesh), curved_counts(given)),
             "deformed": console.record(after, quality(after), curved),
         }
         console.print_comparison(f"{target}, {report.messages[0]}", columns)
+        console.print_fields(draft.fields)
     stopped = (report.status != Status.VALID).nonzero().squeeze(1).tolist()
     if not stopped:
         return 0 if curved is None else console.verdict(f"in {target}", quality(after), curved=curved)

@@ -142,7 +142,7 @@ def _carry_cell_data(
 
 def _is_transferred(fields: FieldTransfer | None, name: str, values: np.ndarray, regions: tuple[str, ...]) -> bool:
     """Is cell data a property of the place?  Region tags follow the interfaces, and numbers of cells their rows."""
-    if fields is None or fields.unchanged or name in regions:
+    if fields is None or name in regions or fields.unchanged:
         return False
     return is_floating(values) or not (fields.drops or is_numbering(values))
 

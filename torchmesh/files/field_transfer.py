@@ -135,10 +135,15 @@ class FieldTransfer:
     """
 
     def __init__(self, before: MeshBatch, after: MeshBatch, choice: FieldChoice = "interpolate") -> None:
-        self.before, self.after = (m.with_points(m.points.detach()).to("cpu") for m in (before, after))
+        self.before, self._end = (m.with_points(m.points.detach()).to("cpu") for m in (before, after))
         self.drops = choice == "drop"
         self.summary = FieldSummary()
         self.nodes: tuple[Placed, Placed] | None = None
+
+    @functools.cached_property
+    def after(self) -> MeshBatch:
+        """The mesh after, in the places from which it takes its values."""
+        return self._end
 
     def through_nodes(self, before: "Placed", after: "Placed") -> "FieldTransfer":
         """The same for meshes with mid-side nodes, whose values at points are interpolated between all of these."""

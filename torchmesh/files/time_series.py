@@ -31,6 +31,7 @@ from .mesh_files import draft
 from .messages import translated, warn
 from .placed import CurvedSummary, Placed
 from .pvd import is_pvd, pvd_steps, step_paths, write_pvd
+from .riding import RidingTransfer, Step
 from .source import Source
 from .surface import HeightChoice
 
@@ -172,10 +173,12 @@ def draft_series(
     before: MeshBatch | None = None,
     height: HeightChoice = "interpolate",
     placed: Sequence[Placed | None] | None = None,
+    steps: Sequence[Sequence[Step]] | None = None,
 ) -> "SeriesDraft":
     """The steps of `like`, ready to be written; arguments and errors are those of `write_series`.
 
     placed  the meshes of `batch` with their mid-side nodes; None: these are placed where the file has any
+    steps   for each mesh the steps of a motion in which values ride with their vertices, on the way from `like.batch`
     """
     path = Path(path)
     meshes = batch.split()
@@ -189,6 +192,9 @@ def draft_series(
     if fields != "carry":
         given = mesh_of_values(path, like.batch, before).split()
         transfers = [FieldTransfer(one, other, fields) for one, other in zip(given, meshes, strict=True)]
+        if steps is not None:
+            rows = zip(steps, given, meshes, strict=True)
+            transfers = [RidingTransfer(own, one, other, fields) for own, one, other in rows]
     check_steps(path, len(like))
     paths = [path] * len(like)
     if is_pvd(path):
@@ -196,10 +202,10 @@ def draft_series(
         extensions = [source.path.suffix if followed else ".vtu" for source in like.sources]
         paths = step_paths(path, extensions, like.path)
     nodes = [None] * len(meshes) if placed is None else placed
-    rows = zip(paths, like.mesh_of_step, like.sources, strict=True)
-    steps = [draft(at, meshes[m], source, maps[m], transfers[m], height, nodes[m]) for at, m, source in rows]
+    each = zip(paths, like.mesh_of_step, like.sources, strict=True)
+    drafts = [draft(at, meshes[m], source, maps[m], transfers[m], height, nodes[m]) for at, m, source in each]
     summary = sum((one.summary for one in transfers if one is not None), FieldSummary())
-    return SeriesDraft(path, like.times, steps, summary)
+    return SeriesDraft(path, like.times, drafts, summary)
 
 
 def check_steps(path: Path, steps: int) -> None:

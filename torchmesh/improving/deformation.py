@@ -48,7 +48,7 @@ from .motion import Motion, advance
 from .pipeline import improve
 from .report import Progress
 from .rigid_motion import RigidPath, bodies_of, holding_edges
-from .trail import Piece, has_rewired, settled
+from .trail import Piece, Trail, has_rewired, settled
 
 
 def deform(
@@ -61,7 +61,7 @@ def deform(
     hold: Tensor | None = None,
     rigid: Tensor | None = None,
     layer: str | Sequence[str] | None = None,
-    trail: bool = False,
+    trail: Trail = False,
 ) -> tuple[MeshBatch, DeformReport]:
     """Move the boundary of a valid batch to `new_points` in steps so small that no triangle ever inverts.
 
@@ -83,7 +83,8 @@ def deform(
                 know the names that groups have in a file: `torchmesh warp FILE --list` tells the box of each.  Quads
                 aim at the shapes that they had before the motion without being named; `rigid` carries them exactly
     trail       whether `report.trail` is to say on which pieces of the motion the triangles stay, for a solver that
-                steps along with the mesh
+                steps along with the mesh.  "apart": smoothing is then no part of the motion, but a change between two
+                pieces, for values of a material that goes with the boundary
 
     Vertices on interfaces (constrained edges) follow as all interior vertices do, unless they are fixed or held; the
     smoothing between the steps and the improvement at the end hold them, unless their options say otherwise.
@@ -106,6 +107,8 @@ def deform(
         raise ValueError(
             "deform has no gradient: give new_points.detach(), or take femwarp, which is differentiable in the boundary"
         )
+    if trail not in (True, False, "apart"):
+        raise ValueError(f"trail must be True, False or 'apart', not {trail!r}")
     names = _names_of_walls(layer)
     return _deform(batch, new_points, steps, options or DeformOptions(), progress, hold, rigid, names, trail)
 
@@ -131,7 +134,7 @@ def _deform(
     hold: Tensor | None,
     rigid: Tensor | None,
     layer: tuple[str, ...],
-    trail: bool,
+    trail: Trail,
 ) -> tuple[MeshBatch, DeformReport]:
     if has_quads(batch):
         if options.improve.topology == "full":
@@ -295,7 +298,7 @@ def _moved(
     options: DeformOptions,
     progress: Callable[[Progress], None] | None,
     keep_layers: bool,
-    trail: bool,
+    trail: Trail,
 ) -> tuple[Motion, Tensor]:
     """The motion at its end with layers carried along, and (B,) bool which meshes were stuck and moved without them."""
     mesh, way = task.held, task.path
@@ -374,7 +377,7 @@ def _trails(motion: Motion, given: MeshBatch, after: MeshBatch) -> list[list[Pie
     ):
         start = pieces or (Piece(mesh, mesh, reached, reached),)
         trail = []
-        for piece in settled(start, end):
+        for piece in settled(start, end, motion.apart):
             first, last, old = (
                 m if m is None else _as_given(m, mesh) for m in (piece.before, piece.after, piece.previous)
             )

@@ -28,7 +28,7 @@ from ..warping.stiffened import carried_stiffly
 from .deform_options import DeformOptions
 from .layered_motion import Path
 from .needed import meshes_beyond
-from .trail import Piece, longer
+from .trail import Piece, Trail, longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,7 @@ class Motion:
              none
     blocked  (B, 2) float64, for a mesh that is about to be given up the centre of the triangle that bounds its step
     pieces   for each mesh the pieces of its trail so far; None: no trail is kept
+    apart    whether changes at rest are kept apart from the motion in these trails
     """
 
     mesh: MeshBatch
@@ -63,9 +64,10 @@ class Motion:
     ends: tuple[Tensor, ...]
     blocked: Tensor
     pieces: tuple[tuple[Piece, ...], ...] | None = None
+    apart: bool = False
 
     @classmethod
-    def begin(cls, batch: MeshBatch, path: Path, longest: float, trail: bool = False) -> "Motion":
+    def begin(cls, batch: MeshBatch, path: Path, longest: float, trail: Trail = False) -> "Motion":
         """The motion before the first step."""
         device = batch.points.device
         status = torch.full((len(batch),), Status.RUNNING, device=device)
@@ -74,7 +76,8 @@ class Motion:
         blocked = torch.full((len(batch), 2), torch.nan, dtype=torch.float64, device=device)
         length = torch.full_like(reached, longest)
         pieces = ((),) * len(batch) if trail else None
-        return cls(batch, path, longest, status, reached, length, none, none, none, (), blocked, pieces)
+        apart = trail == "apart"
+        return cls(batch, path, longest, status, reached, length, none, none, none, (), blocked, pieces, apart)
 
     def arrived(self, at: Tensor) -> "Motion":
         """This motion before its first step, with that of the meshes `at` (B,) bool, which stand still, taken."""
@@ -246,7 +249,7 @@ def _longer_trails(
     rows = true_rows(trial.taken).tolist()
     for b, old, there, then in zip(rows, before, moved.split(), after.split(), strict=True):
         step = Piece(old, there, float(motion.reached[b]), float(trial.goal[b]))
-        trails[b] = longer(trails[b], step, then)
+        trails[b] = longer(trails[b], step, then, motion.apart)
     return tuple(trails)
 
 

@@ -8,9 +8,13 @@
 
 Within a piece every vertex goes straight from `before` to `after`, no triangle inverts on the way, and nothing need be
 interpolated: values stay with their vertices, and the solver knows how fast these move.
+
+For values that belong to a material, which goes with the boundary, smoothing is no motion but a change at rest.  In
+trails of this kind (`trail="apart"`) every step is a piece, and whatever changed after it shows as `previous`.
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -20,6 +24,9 @@ from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any
 from ..warping.boundary_path import first_flat
+
+# Whether a trail is kept, and whether what changes at rest is kept apart from the motion in it.
+Trail = bool | Literal["apart"]
 
 
 def rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
@@ -84,18 +91,25 @@ class Piece:
         return way / time if time > 0 else torch.zeros_like(way)
 
 
-def longer(pieces: tuple[Piece, ...], step: Piece, after: MeshBatch) -> tuple[Piece, ...]:
-    """The pieces with one more step, after which the mesh became `after` at rest."""
+def longer(pieces: tuple[Piece, ...], step: Piece, after: MeshBatch, apart: bool = False) -> tuple[Piece, ...]:
+    """The pieces with one more step, after which the mesh became `after` at rest.
+
+    apart  what changes at rest is no part of the motion
+    """
     known = None if not pieces or same(pieces[-1].after, step.before) else pieces[-1].after
-    return settled((*pieces, replace(step, previous=known)), after)
+    more = (*pieces, replace(step, previous=known))
+    return more if apart else settled(more, after)
 
 
-def settled(pieces: tuple[Piece, ...], after: MeshBatch) -> tuple[Piece, ...]:
-    """The pieces after the mesh became `after` at rest, which is the end of the last one if its triangles allow it."""
+def settled(pieces: tuple[Piece, ...], after: MeshBatch, apart: bool = False) -> tuple[Piece, ...]:
+    """The pieces after the mesh became `after` at rest.
+
+    This is the end of the last piece if its triangles allow it; or, `apart`, a piece of its own.
+    """
     last = pieces[-1]
     if same(last.after, after):
         return pieces
-    if last.end > last.start and _straight(last.before, after):
+    if not apart and last.end > last.start and _straight(last.before, after):
         return (*pieces[:-1], replace(last, after=after))
     return (*pieces, Piece(after, after, last.end, last.end, last.after))
 
