@@ -49,6 +49,23 @@ def test_far_from_the_origin(name, offset):
     assert report.quality.mean.item() == pytest.approx(improve(mesh)[1].quality.mean.item(), abs=0.06)
 
 
+@pytest.mark.parametrize("topology", ["flip", "keep"])
+def test_how_far_away_a_vertex_of_no_triangle_is_does_not_matter(topology):
+    mesh, options = TANGLES["jittered"](), ImproveOptions(topology=topology)
+    plain, _ = improve(mesh, options)
+    for far in ([1e16, 0.0], [-1e100, 1e100]):
+        there = torch.tensor([far], dtype=torch.float64)
+        points, fixed = torch.cat([mesh.points, there]), torch.cat([mesh.fixed, torch.tensor([True])])
+        ends = torch.tensor([0, len(points)])
+        more = MeshBatch(
+            points, mesh.triangles, fixed, mesh.constrained_edges, ends, mesh.triangle_offsets, mesh.frames
+        )
+        after, report = improve(more, options)
+        assert report.certified.tolist() == [True]
+        assert torch.equal(after.triangles, plain.triangles)
+        assert torch.equal(after.points, torch.cat([plain.points, there]))
+
+
 def test_so_far_that_the_boundary_falls_together_is_refused_or_right():
     # At 1e16 the coordinates are multiples of 2, and all vertices of the square coincide.
     mesh = TANGLES["jittered"]()

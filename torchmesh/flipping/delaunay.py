@@ -11,7 +11,7 @@ from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.quads import quads_as_halves
 from ..mesh.ragged import owner_of, spread
 from ..mesh.unfit import unfit_meshes
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..optimising.metric_field import MetricField
 from .metric_rule import MetricRule
 from .rounds import flip_rounds
@@ -82,7 +82,7 @@ def flip_to_delaunay(
     if bool(unfit.any()):
         constrained = constrained | spread(unfit, 3 * batch.triangle_offsets)
     # A power of two changes no sign and keeps every product of the rules in range.
-    unit = centre_and_unit(batch.points, batch.point_offsets)[1]
+    unit = centre_and_unit_of_triangles(batch.points, batch.triangles, batch.point_offsets)[1]
     triangles, twin, log = flip_rounds(
         batch.points.to(torch.float64) / spread(unit, batch.point_offsets)[:, None],
         batch.triangles,

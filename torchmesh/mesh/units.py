@@ -23,9 +23,14 @@ def centre_and_unit(points: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tens
 
 
 def centre_and_unit_of_triangles(points: Tensor, triangles: Tensor, point_offsets: Tensor) -> tuple[Tensor, Tensor]:
-    """As `centre_and_unit`, of the vertices of `triangles` (T, 3) alone: others may be anywhere."""
+    """As `centre_and_unit`, of the vertices of `triangles` (T, 3) alone: others may be anywhere.
+
+    The centre of a mesh without triangles is 0, and its unit 1.
+    """
     every = torch.ones(len(triangles), dtype=torch.bool, device=triangles.device)
     used = corners_of(triangles, every, len(points))
     if bool(used.all()):
         return centre_and_unit(points, point_offsets)
-    return centre_and_unit(points[true_rows(used)], offsets_from_counts(segment_count(used, point_offsets)))
+    count = segment_count(used, point_offsets)
+    centre, unit = centre_and_unit(points[true_rows(used)], offsets_from_counts(count))
+    return torch.where(count[:, None] > 0, centre, 0.0), unit

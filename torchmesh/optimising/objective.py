@@ -32,7 +32,7 @@ from ..mesh.ragged import (
     take,
     true_rows,
 )
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from .assembly import Chunk, chunk_offsets, chunks_of, energy_and_forces
 from .blocks import BLOCK, block_width
 from .energies import Energy, formula_of
@@ -118,7 +118,7 @@ def pack(
     displacements  whether the unknowns are displacements in float32, or positions in float64
     block          numbers in a block
     """
-    centre, unit = centre_and_unit(points, point_offsets)
+    centre, unit = centre_and_unit_of_triangles(points, triangles, point_offsets)
     if library_for(points) is not None:
         offsets = point_offsets, triangle_offsets
         made = packed(points.to(torch.float64), triangles, free, *offsets, (centre, unit), displacements, block)

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from ..mesh.batch import triangle_mesh
 from ..mesh.ragged import put_rows, spread, true_rows
-from ..mesh.units import centre_and_unit
 from .collapses import Judge, Outcome, collapse_rounds
 from .collapses import Wish as CollapseWish
 from .metric_sizing import unit_metric
@@ -20,7 +19,7 @@ from .mutable import Editable
 from .options import RemeshOptions
 from .splits import Room, split_rounds, worst_after
 from .splits import Wish as SplitWish
-from .state import RemeshState, editable, rebuilt
+from .state import RemeshState, editable, rebuilt, unit_of
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def _exchange(
     wish = too_long(e, options.split_above, limits.worst)
     splits = split_rounds(e, wish, budget=collapses, room=freed_rows(triangle_mesh(batch)))
     whole = splits == collapses
-    unit = spread(centre_and_unit(batch.points, batch.point_offsets)[1], batch.point_offsets)
+    unit = spread(unit_of(batch), batch.point_offsets)
     points = (torch.stack([e.x, e.y], 1) * unit[:, None]).to(batch.points)
     done = replace(state, batch=batch.with_points(points).with_triangles(e.triangles, e.twin), size=e.size * unit)
     return state.put(whole, done.select(whole)), splits, collapses

@@ -20,7 +20,7 @@ from ..mesh.interfaces import Interfaces, interface_vertices
 from ..mesh.kept_edges import constrained_half_edges
 from ..mesh.measure import Quality, quality
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, put_rows, spread, true_rows
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..mesh.vertex_map import Names, exchange
 from .metric_sizing import metric_quality
 from .mutable import Editable, compact
@@ -150,11 +150,16 @@ class RemeshState:
         return self.put(at, replace(back, names=names.renamed(back.names.of)))
 
 
+def unit_of(batch: MeshBatch) -> Tensor:
+    """(B,) the unit of length in which `editable` has each mesh."""
+    # A power of two changes no sign and keeps every square in range.
+    return centre_and_unit_of_triangles(batch.points, batch.triangles, batch.point_offsets)[1]
+
+
 def editable(state: RemeshState) -> Editable:
     """The meshes in the form in which splits and collapses change them."""
     batch = state.batch
-    # A power of two changes no sign and keeps every square in range.
-    unit = spread(centre_and_unit(batch.points, batch.point_offsets)[1], batch.point_offsets)
+    unit = spread(unit_of(batch), batch.point_offsets)
     points = batch.points.to(torch.float64) / unit[:, None]
     return Editable(
         x=points[:, 0].contiguous(),
@@ -178,7 +183,7 @@ def editable(state: RemeshState) -> Editable:
 def rebuilt(state: RemeshState, e: Editable) -> RemeshState:
     """The state of the meshes that `e`, which was made of `state`, has become; the counts stay as they were."""
     kept, faces, locked, vertices, triangles = compact(e)
-    unit = centre_and_unit(state.batch.points, state.batch.point_offsets)[1][e.mesh[kept]]
+    unit = unit_of(state.batch)[e.mesh[kept]]
     points = (torch.stack([e.x[kept], e.y[kept]], 1) * unit[:, None]).to(state.batch.points)
     fixed = e.fixed[kept]
     if state.free_interfaces:

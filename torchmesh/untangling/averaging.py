@@ -17,7 +17,7 @@ from ..mesh.interfaces import Interfaces, check_interfaces, holding, released
 from ..mesh.quads import diagonals, sampled
 from ..mesh.ragged import segment_count, segment_sum, spread, take
 from ..mesh.triangle import corners, signed_area
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..optimising.conjugate_gradients import Systems
 
 
@@ -97,7 +97,7 @@ class _Averaging:
     def __init__(self, batch: MeshBatch) -> None:
         self.batch = batch
         count = len(batch.points)
-        centre, unit = centre_and_unit(batch.points, batch.point_offsets)
+        centre, unit = centre_and_unit_of_triangles(batch.points, batch.triangles, batch.point_offsets)
         self.centre, self.unit = spread(centre, batch.point_offsets), spread(unit, batch.point_offsets)[:, None]
         # The triangles around a free vertex close: each neighbour is the head of exactly one half-edge from it.
         tail, head = tails(batch.triangles), heads(batch.triangles)

@@ -27,7 +27,7 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.ragged import true_rows
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..optimising.energies import Regularised, TotalLiftedContent
 from ..optimising.jacobian import Target, select_rows
 from ..optimising.laplacian import harmonic_extension
@@ -79,7 +79,7 @@ class _Task:
         self, mesh: MeshBatch, free: Tensor, options: NewtonWays, best: Best, rest: Target | None = None
     ) -> None:
         self.mesh, self.free, self.options, self.best, self.rest = mesh, free, options, best, rest
-        centre, unit = centre_and_unit(mesh.points, mesh.point_offsets)
+        centre, unit = centre_and_unit_of_triangles(mesh.points, mesh.triangles, mesh.point_offsets)
         self.centre, self.unit = centre, unit
         self.systems: dict[int, tuple[NewtonSystem, Tensor]] = {}
 
@@ -209,7 +209,7 @@ def pushed(
     """
     free = ~mesh.fixed
     start = (_embedded(mesh, free) if start is None else start).to(torch.float64)
-    centre, unit = centre_and_unit(start, mesh.point_offsets)
+    centre, unit = centre_and_unit_of_triangles(start, mesh.triangles, mesh.point_offsets)
     target = ideal(mesh, size[mesh.triangles].mean(1) / unit)
     points = best = (start - centre) / unit
     system = NewtonSystem(points, mesh.triangles, free, target)
