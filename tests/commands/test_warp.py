@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+import meshes
 import meshio
 import numpy as np
 import pytest
 from command_line import channel, inverted, is_one_clear_line, plate
 
-from torchmesh import read
+from torchmesh import MeshBatch, read, write
 
 
 def test_warp_lists_the_parts_of_the_boundary(call):
@@ -257,3 +258,20 @@ def test_the_list_says_what_lies_on_each_part(call, folder):
     assert row[1] == "12"
     assert row[7:] == ["lines", "12", "quads;", "24", "vertices", "of", "layers", "go", "along"]
     assert is_one_clear_line(call("warp", "channel.msh", "x.msh", "--move", "bodie:1,0"), "only outer:1, hole:1, body")
+
+
+def test_what_a_failed_improvement_advises_is_an_option_of_warp(call, folder):
+    """An interface round a hole, over which the hole moves."""
+    points, triangles = meshes.ring_arrays(32, 8, 0.4, 1.6)
+    radius = np.linalg.norm(points, axis=1)
+    edges = np.unique(np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), 1), axis=0)
+    edges = edges[(np.abs(radius - np.unique(radius.round(6))[2]) < 1e-5)[edges].all(1)]
+    write(folder / "ring.msh", MeshBatch.from_arrays(points, triangles, constrained_edges=edges))
+    move = ["--move", "hole:1:0.9,0"]
+    done = call("warp", "ring.msh", "out.msh", *move, "--improve", "-q")
+    assert done.status == 1
+    assert "(--interfaces free) lets them move" in done.err
+    done = call("warp", "ring.msh", "out.msh", *move, "--improve", "--interfaces", "free", "-q")
+    assert (done.status, done.out, done.err) == (0, "", "")
+    for more in (["--interfaces", "free"], ["--quads", "split"], ["--interfaces", "free", "--steps", "2"]):
+        assert is_one_clear_line(call("warp", "ring.msh", "out.msh", *move, *more), "go with --improve")

@@ -180,3 +180,22 @@ def test_many_numbers_are_cut_and_none_are_made_up():
     assert with_own_numbers("vertex 1", document()) == "vertex 1"
     many = document(node_numbers=range(100, 200))
     assert with_own_numbers(f"the cavity {list(range(20))}", many).endswith("110, 111 and 8 more)")
+
+
+def test_what_constrained_edges_come_from_is_one_sentence(tmp_path):
+    points, triangles = meshes.grid_arrays(4, 4)
+    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    left = points[triangles].mean(1)[:, 0] < 0.5
+    inside = ((points > 0.1) & (points < [0.4, 0.9])).all(1)
+    for name, tags, lines, said in (
+        ("both", 1 + left, sides[inside[sides].all(1)][:1], "interfaces between regions by cell data 'gmsh:physical', "
+         "and lines of the file; --regions NAME|none chooses what tells regions"),
+        ("regions", 1 + left, sides[:0], "interfaces between regions by cell data 'gmsh:physical'; --regions NAME|none "
+         "chooses what tells regions"),
+        ("lines", 1 + 0 * left, sides[inside[sides].all(1)][:1], "lines of the file"),
+    ):  # fmt: skip
+        cells = [("triangle", triangles), ("line", lines)][: 1 + len(lines)]
+        data = {"gmsh:physical": [tags, np.full(len(lines), 9)][: 1 + len(lines)]}
+        meshio.Mesh(points, cells, cell_data=data).write(tmp_path / f"{name}.vtu")
+        told = Source.open(tmp_path / f"{name}.vtu").explained("the constrained edge [1, 2] and the vertex 3 meet")
+        assert told.endswith(f" (constrained edges are {said})")

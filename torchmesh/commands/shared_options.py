@@ -240,9 +240,9 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings
 
 
 def improve_options(
-    method: Method,
-    topology: Topology,
-    beta: float | None,
+    method: Method = Method.default,
+    topology: Topology = Topology.flip,
+    beta: float | None = None,
     boundary: Boundary = Boundary.fixed,
     interfaces: InterfaceChoice | None = None,
     scope: Scope = Scope.all,

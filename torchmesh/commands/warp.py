@@ -21,10 +21,14 @@ from .shared_options import (
     HeightOption,
     InArgument,
     InPlaceOption,
+    InterfacesOption,
+    Quads,
+    QuadsOption,
     QuietOption,
     RegionsOption,
     StrictOption,
     ThreadsOption,
+    improve_options,
     use_threads,
 )
 from .targets import check_mesh_target, target_of
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
     from ..files.parts import Part as FilePart
     from ..files.surface import HeightChoice
     from ..files.time_series import Series, SeriesDraft
+    from ..improving.options import ImproveOptions
     from ..mesh.batch import MeshBatch
 
 EXAMPLES = (
@@ -119,6 +124,8 @@ def warp(
     steps: StepsOption = None,
     rigid: RigidOption = None,
     regions: RegionsOption = None,
+    interfaces: InterfacesOption = None,
+    quads: QuadsOption = Quads.keep,
     fields: FieldsOption = Fields.interpolate,
     height: HeightOption = Height.interpolate,
     strict: StrictOption = False,
@@ -155,7 +162,9 @@ def warp(
     motion = Motion.of(scale or [], rotate or [], move or [], displacement)
     if steps is not None:
         _check_steps(steps, improve_too)
-    elif followers:
+    if not improve_too and (interfaces is not None or quads is not Quads.keep):
+        raise UsageError("--interfaces and --quads go with --improve, to which they are passed on")
+    if steps is None and followers:
         raise UsageError("--rigid goes with --steps auto, which also holds the body on arrival")
     check_mesh_target(target)
     use_threads(threads)
@@ -171,7 +180,8 @@ def warp(
     boundary, hold = (torch.cat(parts) for parts in zip(*goals, strict=True))
     if steps is not None:
         return _deform(given, boundary, hold, steps, target, fields.value, height.value, strict, quiet, followers)
-    return _warp(given, boundary, hold, improve_too, target, fields.value, height.value, strict, quiet)
+    options = improve_options(interfaces=interfaces, quads=quads) if improve_too else None
+    return _warp(given, boundary, hold, options, target, fields.value, height.value, strict, quiet)
 
 
 def _list(path: Path, regions: str | None) -> int:
@@ -212,17 +222,16 @@ def _warp(
     given: "Series",
     boundary: "Tensor",
     hold: "Tensor",
-    improve_too: bool,
+    improve_too: "ImproveOptions | None",
     target: Path,
     fields: "FieldChoice",
     height: "HeightChoice",
     strict: bool,
     quiet: bool,
 ) -> int:
-    """Warps in one step, improves if asked, writes; returns the exit status."""
+    """Warps in one step, improves by the options given, if any, writes; returns the exit status."""
     from ..batches.file_improvement import curved_counts, curved_summary, improve_series, with_nodes
     from ..files.time_series import draft_series
-    from ..improving.options import ImproveOptions
     from ..mesh.batch import join
     from ..mesh.measure import quality
     from ..warping.femwarp import femwarp
@@ -237,12 +246,12 @@ def _warp(
         "undeformed": console.record(mesh, quality(mesh), curved_counts(given)),
         "warped": console.record(warped, after, curved),
     }
-    if not improve_too:
+    if improve_too is None:
         draft = draft_series(target, warped, given, height=height, placed=placed)
     else:
         with console.progress(quiet) as show:
             moved = replace(given, batch=warped)
-            (improved,) = improve_series([moved], ImproveOptions(), fields=fields, height=height, progress=show)
+            (improved,) = improve_series([moved], improve_too, fields=fields, height=height, progress=show)
         after = improved.report.quality
         curved = improved.curved
         columns["improved"] = console.record(join(improved.meshes), after, curved)
@@ -251,7 +260,7 @@ def _warp(
     if not quiet:
         console.print_comparison(str(target), columns)
         console.print_fields(draft.fields)
-    if improve_too:
+    if improve_too is not None:
         return console.verdict(f"in {target}", after, improved.message(), curved)
     inverted = console.inverted_text(after, curved)
     if inverted:

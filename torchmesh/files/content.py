@@ -116,7 +116,7 @@ class Content:
         """In words, the interfaces whose edges no flip may remove; empty where there are none."""
         if not len(np.unique(self.region)) > 1:
             return ""
-        return f"interfaces between regions by {self.told_by}; --regions NAME|none chooses"
+        return f"interfaces between regions by {self.told_by}"
 
     @property
     def bound_by_lines(self) -> bool:

@@ -74,9 +74,10 @@ class Source:
         """A message about the mesh: positions in space, rows as the file's own numbers, where constraints come from."""
         more = ""
         if _CONSTRAINED.search(text):
-            lines = "lines of the file" if self.content.bound_by_lines else ""
-            origin = " and ".join(filter(None, [self.content.bound_by_regions, lines]))
-            more = f" (constrained edges are {origin})" if origin else ""
+            regions, lines = self.content.bound_by_regions, "lines of the file" * self.content.bound_by_lines
+            origin = ", and ".join(filter(None, [regions, lines]))
+            choice = "; --regions NAME|none chooses what tells regions" if regions else ""
+            more = f" (constrained edges are {origin}{choice})" if origin else ""
         if self.content.curved_quads.any():
             text = text.replace(": with quads='split' (--quads split) such quads become two triangles each", "")
         text = text if self.surface is not None else told_in_space(self.mesh, text)
