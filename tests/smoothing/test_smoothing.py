@@ -337,3 +337,22 @@ def test_in_single_precision_too_no_step_inverts_a_triangle():
     for limit in range(12):
         moved, _ = smooth(mesh, SmoothOptions(max_iterations=limit, single=True))
         assert bool(upright(moved).all())
+
+
+@pytest.mark.parametrize("power", [1, 2])
+@pytest.mark.parametrize("height", [1e-9, 1e-16, 1e-18, 1e-300])
+def test_a_sliver_of_any_height_is_opened(height, power):
+    """Its curvature, or a height that rounding loses, stopped the minimiser at once."""
+    points = [[0.0, 0], [1, 0], [1, 1], [0, 1], [0.5, height]]
+    sliver = MeshBatch.from_arrays(points, [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    usual = meshes.grid(4, 4)
+    both = join([sliver, usual])
+    after, info = smooth(both, SmoothOptions(power=power))
+    assert quality(after).max[0] < 1.1548
+    assert info.status[0] in (Status.CONVERGED, Status.SETTLED)
+    assert info.iterations[0] <= info.evaluations[0]
+    alone, of_one = smooth(usual, SmoothOptions(power=power))
+    assert torch.equal(after.split()[1].points, alone.points)
+    assert int(of_one.evaluations) == int(info.evaluations[1])
+    stay, _ = smooth(both, SmoothOptions(power=power, max_iterations=0))
+    assert torch.equal(stay.points, both.points)

@@ -1,6 +1,6 @@
 """Step 3: move the free vertices of a valid mesh so that the inverse mean ratio becomes least."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import torch
@@ -18,7 +18,7 @@ from ..optimising.blocks import BLOCK
 from ..optimising.energies import Energy, InverseMeanRatio
 from ..optimising.jacobian import select_rows
 from ..optimising.lbfgs import minimise
-from ..optimising.lbfgs_options import LbfgsOptions
+from ..optimising.lbfgs_options import LbfgsOptions, LbfgsResult
 from ..optimising.moves import Monitor, MoveInfo
 from ..optimising.objective import MeshObjective, Packing, pack
 from ..optimising.targets import TargetFunction, Targets, aim, as_targets, check, ideal, vertex_height
@@ -26,6 +26,15 @@ from ..status import Status
 
 if TYPE_CHECKING:
     from ..mesh.curves import BoundaryCurves
+
+
+# An energy beyond this belongs to a sliver that the minimiser cannot move.
+_LARGEST = 1e100
+
+# Where L-BFGS stalls in its first steps with a steeper root mean square slope, in units of one triangle's ideal energy
+# by a mean edge length, it begins anew; so often at most.
+_STEEP = 1e-2
+_BEGINNINGS = 4
 
 
 @dataclass(frozen=True)
@@ -154,16 +163,16 @@ def smooth(
     # Curves need the connectivity of halves; for all else quads are their corners from here on.
     connected, batch = batch, sampled(batch)
     single = options.single and curves is None and options.targets is None and options.quad_targets is None
-    packing = pack(batch.points, batch.triangles, may_move, batch.point_offsets, batch.triangle_offsets, single, block)
-    objective = _objective(batch, packing, options)
     if curves is None:
-        result = minimise(objective, packing.unknowns, _lbfgs(options), monitor)
-        moved = batch.with_points(packing.unpack(result.unknowns, batch.points))
+        moved, result = _moved(batch, may_move, options, single, block, monitor)
+        if options.max_iterations:
+            moved, result = _begun_again(moved, result, may_move, options, single, block)
     else:
         from .sliding import Slide
 
+        packing = _packed(batch, may_move, single, block)
         slide = Slide(connected, curves, packing)
-        result = minimise(*slide.start(objective), _lbfgs(options), monitor)
+        result = minimise(*slide.start(_objective(batch, packing, options)), _lbfgs(options), monitor)
         points, curves = slide.finish(result.unknowns)
         moved = batch.with_points(points)
     # Rounding to the caller's precision could flatten a sliver: such a mesh goes back where it was.
@@ -178,6 +187,57 @@ def smooth(
             curves = curves.put(worse, slide.curves.select(worse))
     moved = released(moved if moved.triangles is given.triangles else given.with_points(moved.points), given)
     return moved, MoveInfo(result.energy, result.gradient, result.iterations, result.evaluations, status, curves)
+
+
+def _packed(batch: MeshBatch, free: Tensor, single: bool, block: int) -> Packing:
+    """The `free` (V,) part of the batch as the minimiser takes it."""
+    return pack(batch.points, batch.triangles, free, batch.point_offsets, batch.triangle_offsets, single, block)
+
+
+def _moved(
+    batch: MeshBatch, free: Tensor, options: SmoothOptions, single: bool, block: int, monitor: Monitor | None = None
+) -> tuple[MeshBatch, LbfgsResult]:
+    """The batch with its `free` (V,) vertices moved to the minimum, and what the minimiser says of it."""
+    packing = _packed(batch, free, single, block)
+    result = minimise(_objective(batch, packing, options), packing.unknowns, _lbfgs(options), monitor)
+    return batch.with_points(packing.unpack(result.unknowns, batch.points)), result
+
+
+def _begun_again(
+    batch: MeshBatch, result: LbfgsResult, free: Tensor, options: SmoothOptions, single: bool, block: int
+) -> tuple[MeshBatch, LbfgsResult]:
+    """The batch after meshes that slivers have stopped at once were smoothed again; `result` is of the first time.
+
+    Where an energy is too large to compute with, slivers are raised first.  Where a sliver has opened in the first
+    steps, L-BFGS still has its very large curvature in the history, and the next steps are too short to matter:
+    then the minimiser begins anew, without a history, from where it came to.
+    """
+    last = result
+    for turn in range(_BEGINNINGS):
+        overflows = (last.iterations == 0) & ~(last.energy < _LARGEST) & (turn == 0)
+        stopped = (last.status == Status.STALLED) & (last.gradient > _STEEP) & (not single)
+        stopped &= (last.iterations > 0) & (last.iterations < LbfgsOptions().patience)
+        again = overflows | stopped
+        if not bool(again.any()):
+            break
+        from .raising import raised
+
+        free = free & spread(again, batch.point_offsets)
+        start = raised(batch, free, overflows) if bool(overflows.any()) else batch
+        moved, last = _moved(start, free, options, single, block)
+        better = again & (last.energy < _LARGEST)
+        batch = batch.with_points(torch.where(spread(better, batch.point_offsets)[:, None], moved.points, batch.points))
+        result = _later(result, last, better)
+    return batch, result
+
+
+def _later(result: LbfgsResult, last: LbfgsResult, better: Tensor) -> LbfgsResult:
+    """The result of meshes that were smoothed again, where that was `better` (B,) bool; what it took is added up."""
+    names = ("energy", "gradient", "status", "iterations", "evaluations")
+    new = {name: getattr(last, name) for name in names}
+    for name in names[3:]:
+        new[name] = new[name] + getattr(result, name)
+    return replace(result, **{name: torch.where(better, v, getattr(result, name)) for name, v in new.items()})
 
 
 def _objective(batch: MeshBatch, packing: Packing, options: SmoothOptions) -> MeshObjective:
