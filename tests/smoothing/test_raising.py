@@ -64,6 +64,15 @@ def test_many_slivers_are_raised_and_other_vertices_and_meshes_stay():
     )
 
 
+def test_a_vertex_of_no_triangle_may_be_anywhere():
+    mesh = fan(1e-18)
+    far = tm.MeshBatch.from_arrays(torch.cat([mesh.points, torch.full((1, 2), 1e20).double()]), mesh.triangles)
+    assert torch.equal(_centred(far)[:5], _centred(mesh))
+    after, _ = tm.smooth(far)
+    assert torch.equal(after.points[:5], tm.smooth(mesh)[0].points)
+    assert tm.quality(after).max[0] < 1.1548
+
+
 def test_what_is_held_stays_flat():
     mesh = fan(1e-18)
     assert torch.equal(raised(mesh, torch.zeros_like(mesh.fixed), torch.tensor([True])).points, mesh.points)

@@ -12,7 +12,7 @@ from torch import Tensor
 from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import corners_of, touching
 from ..mesh.ragged import spread, true_rows
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..triangulating.arrays import signs
 
 # A triangle whose area is at most this part of the square of an edge is raised.
@@ -45,8 +45,8 @@ def raised(batch: MeshBatch, free: Tensor, at: Tensor) -> MeshBatch:
 
 def _centred(batch: MeshBatch) -> Tensor:
     """(V, 2) float64 the positions as `optimising.objective.pack` measures them."""
-    centre, unit = centre_and_unit(batch.points, batch.point_offsets)
     offsets = batch.point_offsets
+    centre, unit = centre_and_unit_of_triangles(batch.points, batch.triangles, offsets)
     return (batch.points.to(torch.float64) - spread(centre, offsets)) / spread(unit, offsets)[:, None]
 
 
