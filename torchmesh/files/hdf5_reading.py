@@ -12,6 +12,7 @@ from torch import Tensor
 from ..errors import MeshIOError
 from ..mesh.batch import MeshBatch
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, spread
+from .hdf5_heaps import check_heaps
 from .hdf5_layout import CHUNK_ROWS, FORMAT, OF_QUADS, QUADS, SHAPES, TABLES, VERSION, as_our_errors
 from .swelling import check_attributes
 
@@ -23,6 +24,9 @@ _HARMLESS = 1 << 26
 
 # A table of more bytes that is compressed by more than this factor is not unpacked at once.
 _AT_ONCE, _FACTOR = 1 << 30, 200
+
+# The strings of such a file are written when it is begun, and lie in its first bytes.
+_FIRST_BYTES = 1 << 26
 
 # Which meshes of a file: all (None), one by its number, a slice, or numbers in any order.
 Meshes = int | slice | Sequence[int] | np.ndarray | None
@@ -41,6 +45,7 @@ class BatchFile:
         self.path = Path(path)
         with as_our_errors(self.path, "cannot be read"):
             self._file = h5py.File(self.path, "r")
+            check_heaps(self.path, _FIRST_BYTES)
             check_attributes(self._file)
             if self._file.attrs.get("format") != FORMAT:
                 raise MeshIOError(f"{path}: this is HDF5, but no file of torchmesh.save_batch")

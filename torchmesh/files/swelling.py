@@ -9,6 +9,8 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from .hdf5_heaps import check_heaps
+
 # A mesh does not grow more than this by being unpacked.  Coordinates compress to a tenth at best; only constant fields
 # do by a factor of 1,000, and a file does not consist of them alone.
 _FACTOR = 200
@@ -54,8 +56,9 @@ def inflated(block: bytes, compressor: str, most: int) -> bytes:
 def check_hdf5(path: Path) -> None:
     """Raises ValueError if an HDF5 file is damaged so that it cannot be read safely; OSError if it is no such file.
 
-    Its tables may not need too much memory, and no attribute may be a sequence of variable length, which no format of
-    meshes has: the HDF5 library itself was seen to die of one that a damaged string had become.
+    Its tables may not need too much memory, its heaps of strings must have an end, and no attribute may be a sequence
+    of variable length, which no format of meshes has: the HDF5 library itself was seen to die of one that a damaged
+    string had become.
     """
     import h5py
 
@@ -68,6 +71,7 @@ def check_hdf5(path: Path) -> None:
             needed += item.size * item.dtype.itemsize
 
     with h5py.File(path, "r") as file:
+        check_heaps(path)
         check_attributes(file)
         file.visititems(add)
     check_swelling(needed, path.stat().st_size)
