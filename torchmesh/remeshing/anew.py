@@ -18,7 +18,7 @@ from ..mesh.batch import MeshBatch, constraint_owner, put, vertex_mesh
 from ..mesh.interfaces import interface_vertices
 from ..mesh.measure import quality
 from ..mesh.ragged import counts_from_offsets, offsets_from_counts, owner_of, segment_any, spread, true_rows
-from ..mesh.units import centre_and_unit
+from ..mesh.units import centre_and_unit_of_triangles
 from ..mesh.vertex_map import Names, Placed
 from ..smoothing.polishing import PolishOptions, polish
 from ..smoothing.smoothing import SmoothOptions, smooth
@@ -135,8 +135,7 @@ def _polished(batch: MeshBatch, options: PolishOptions, worst: tuple[float, ...]
 
 def _meshers(batch: MeshBatch) -> list[Mesher | None]:
     """For each mesh its mesher; None where there can be none."""
-    points = batch.points.to(torch.float64) / spread(centre_and_unit(batch.points, batch.point_offsets)[1],
-                                                     batch.point_offsets)[:, None]  # fmt: skip
+    points = batch.points.to(torch.float64) / spread(_unit(batch), batch.point_offsets)[:, None]
     edges = connectivity.boundary_edges(batch.triangles, batch.twin)
     ends = offsets_from_counts(torch.bincount(owner_of(edges[:, 0], batch.point_offsets), minlength=len(batch)))
     locks = offsets_from_counts(torch.bincount(constraint_owner(batch), minlength=len(batch)))
@@ -149,6 +148,11 @@ def _meshers(batch: MeshBatch) -> list[Mesher | None]:
         mesher = outline_mesher(points[start:stop], held[start:stop], own - start, kept - start)
         meshers.append(None if mesher.fault else mesher)
     return meshers
+
+
+def _unit(batch: MeshBatch) -> Tensor:
+    """(B,) float64 the unit of each mesh, in which the front works: vertices in no triangle do not count."""
+    return centre_and_unit_of_triangles(batch.points, batch.triangles, batch.point_offsets)[1]
 
 
 def _held(batch: MeshBatch) -> Tensor:
@@ -217,7 +221,10 @@ class _Rows:
 def _placed(
     given: MeshBatch, meshers: list[Mesher], remesh: RemeshOptions, names: Names, options: AnewOptions
 ) -> tuple[MeshBatch, Tensor, Names, Tensor]:
-    """The meshes with vertices where the fronts have placed them; sizes, names, and (V',) bool, are they old?"""
+    """The meshes with vertices where the fronts have placed them, and of their V' vertices three things.
+
+    These are the sizes wanted (V',), the names, and (V',) bool, which were there before.
+    """
     size = _sizes(given, meshers, remesh, options.inward)
     new, triangles = _fronts(given, meshers, size, options.front)
     taken = _nearest_old(given, new, options.near)
@@ -242,7 +249,7 @@ def _placed(
 
 def _fronts(given: MeshBatch, meshers: list[Mesher], size: Tensor, options: FrontOptions) -> tuple[_New, list[Tensor]]:
     """The new positions, and the triangles (T, 3) of each mesh, where the new ones come after the old vertices."""
-    unit, starts = centre_and_unit(given.points, given.point_offsets)[1], given.point_offsets.tolist()
+    unit, starts = _unit(given), given.point_offsets.tolist()
     scaled = size / spread(unit, given.point_offsets)
     found = [mesher.mesh(scaled[starts[b] : starts[b + 1]], *options.numbers) for b, mesher in enumerate(meshers)]
     owner = torch.arange(len(found)).repeat_interleave(torch.tensor([len(f[1]) for f in found]))
