@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import importlib.metadata
 import re
 import subprocess
 import sys
@@ -220,3 +221,8 @@ def test_the_public_names_are_all_there():
     assert sorted(torchmesh.__all__) == sorted(set(torchmesh.__all__))
     for name in torchmesh.__all__:
         assert hasattr(torchmesh, name), name
+
+
+def test_the_package_has_the_version_of_its_distribution():
+    assert torchmesh.__version__ == importlib.metadata.version("torchmesh-untangle")
+    assert not hasattr(torchmesh, "__versions__")

@@ -23,6 +23,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
+
     from . import bench
     from .batches.manifest import FileResult
     from .batches.runs import improve_files
@@ -157,10 +159,22 @@ def __getattr__(name: str) -> Any:
         value = getattr(_loaded(_HOMES[name]), name)
     elif name in _MODULES:
         value = _loaded(_MODULES[name])
+    elif name == "__version__":
+        value = _version()
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def _version() -> str:
+    """The version of the installed package; AttributeError where the files lie in a folder without being installed."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("torchmesh-untangle")
+    except metadata.PackageNotFoundError as error:
+        raise AttributeError(f"module {__name__!r} has no version: {error.name} is not installed") from None
 
 
 def _loaded(module: str) -> ModuleType:

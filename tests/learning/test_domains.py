@@ -145,3 +145,8 @@ def test_the_count_must_be_positive():
 
 def test_one_family_may_be_given_as_a_string():
     assert domains.DomainOptions("holes").families == ("holes",)
+
+
+def test_a_domain_that_the_paper_has_not_is_refused_with_those_it_has():
+    with pytest.raises(ValueError, match=r"domains.moving knows 'circle', 'bar', 'gate', not 'bars'"):
+        domains.moving("bars")

@@ -25,6 +25,7 @@ from ..errors import MeshIOError, MeshWarning, MissingDependencyError
 from ..files.field_transfer import FieldChoice, check_choice
 from ..files.surface import HeightChoice, check_height
 from ..improving.options import ImproveOptions
+from ..mesh.typed import typed
 from . import manifest
 from .batches import Job, fingerprint
 from .crew import Crew
@@ -40,6 +41,7 @@ from .workers import Worker
 BUDGET = 30_000
 
 
+@typed
 def improve_files(
     paths: Paths,
     out: str | os.PathLike[str],

@@ -28,11 +28,13 @@ from torch import Tensor
 
 from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
+from ..mesh.typed import typed
 from .atomic import replacing
 from .hdf5_layout import CHUNK_ROWS, FORMAT, QUADS, VERSION, Fields, as_our_errors, checked_fields, tables_of
 from .hdf5_reading import BatchFile, Meshes
 
 
+@typed
 def save_batch(
     path: str | os.PathLike[str],
     batch: MeshBatch,

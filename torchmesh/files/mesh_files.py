@@ -20,6 +20,7 @@ from ..errors import InvalidMeshError, MeshWarning
 from ..mesh import connectivity
 from ..mesh.batch import MeshBatch, lift
 from ..mesh.quads import halved
+from ..mesh.typed import typed
 from ..mesh.vertex_map import VertexMap
 from .carry_over import carried
 from .correspondence import Correspondence
@@ -88,6 +89,7 @@ def held(path: str | os.PathLike[str] | Source) -> torch.Tensor:
     return hold
 
 
+@typed
 def write(
     path: str | os.PathLike[str],
     mesh: MeshBatch,

@@ -12,8 +12,10 @@ from torch import Tensor
 from ..errors import InvalidMeshError, MissingDependencyError
 from ..mesh.batch import MeshBatch, join
 from ..mesh.quads import edges_of
+from ..mesh.typed import typed
 
 
+@typed
 def to_pyg(batch: MeshBatch) -> Any:
     """A `torch_geometric.data.Batch` with one graph for each mesh, on the device of `batch`.
 

@@ -9,8 +9,10 @@ from ..errors import MissingDependencyError
 from ..mesh.batch import MeshBatch, lift, triangle_mesh, vertex_mesh
 from ..mesh.measure import quality, signed_minimum_angles, signed_narrowest_angles
 from ..mesh.quads import quad_mesh
+from ..mesh.typed import typed
 
 
+@typed
 def to_pyvista(batch: MeshBatch) -> Any:
     """The batch as one `pyvista.PolyData` in space, with quality measures as cell data; needs the extra `pyvista`.
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import InvalidMeshError, MeshIOError, MeshWarning
 from ..mesh.batch import MeshBatch, join
+from ..mesh.typed import typed
 from ..mesh.vertex_map import VertexMap
 from .atomic import replacing
 from .drafts import Draft
@@ -133,6 +134,7 @@ def _series_of(times: list[float], sources: list[Source], path: Path) -> "Series
     return Series(join(meshes), times, mesh_of_step, sources, path)
 
 
+@typed
 def write_series(
     path: str | os.PathLike[str],
     batch: MeshBatch,

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ..mesh.batch import MeshBatch
+from ..mesh.typed import check_records
 from ..optimising.targets import TargetFunction, Targets, check_topology
 from ..smoothing.smoothing import SmoothOptions
 from .checks import check_between_0_and_1, check_least, check_whole, is_number
@@ -82,6 +83,7 @@ class DeformOptions:
     control: StepControl = field(default_factory=StepControl)
 
     def __post_init__(self) -> None:
+        check_records(self)
         for name, known in (
             ("topology", ("keep", "flip")),
             ("path", ("auto", "straight")),

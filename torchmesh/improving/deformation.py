@@ -26,6 +26,7 @@ from ..mesh.measure import quality
 from ..mesh.quads import halved, has_quads, whole
 from ..mesh.ragged import segment_any, spread, true_rows
 from ..mesh.regions import region_areas
+from ..mesh.typed import typed
 from ..mesh.validation import fit_positions
 from ..mesh.vertex_map import VertexMap
 from ..optimising.targets import as_targets, narrow, narrow_quads, quad_targets_from
@@ -51,6 +52,7 @@ from .rigid_motion import RigidPath, bodies_of, holding_edges
 from .trail import Piece, Trail, has_rewired, settled
 
 
+@typed
 def deform(
     batch: MeshBatch,
     new_points: Tensor,

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import Interfaces, check_interfaces
+from ..mesh.typed import check_records
 from ..optimising.targets import check_topology
 from ..remeshing.options import RemeshOptions
 from ..smoothing.polishing import PolishOptions
@@ -109,6 +110,7 @@ class ImproveOptions:
     workers: int | None = None
 
     def __post_init__(self) -> None:
+        check_records(self)
         if self.method not in ("default", "paper"):
             raise ValueError(f"ImproveOptions.method must be 'default' or 'paper', not {self.method!r}")
         if self.topology not in ("keep", "flip", "full"):

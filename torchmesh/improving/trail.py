@@ -23,12 +23,14 @@ from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.measure import upright
 from ..mesh.ragged import segment_any
+from ..mesh.typed import typed
 from ..warping.boundary_path import first_flat
 
 # Whether a trail is kept, and whether what changes at rest is kept apart from the motion in it.
 Trail = bool | Literal["apart"]
 
 
+@typed
 def rewired(before: MeshBatch, after: MeshBatch) -> Tensor:
     """(T,) bool: the triangles of `after` that have not the same three corners, in this order round them, as before.
 

@@ -19,7 +19,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -49,6 +49,9 @@ __all__ = [
 
 # So many domains are meshed and smoothed together; no result depends on it.
 _DOMAINS_AT_ONCE = 16
+
+# The paper's domains.
+_Moving = Literal["circle", "bar", "gate"]
 
 
 def __dir__() -> list[str]:
@@ -115,13 +118,15 @@ def generate(count: int, families: Sequence[str] = tuple(FAMILIES), **options: A
     return next(pairs(families, batch=count, **options))
 
 
-def moving(name: Literal["circle", "bar", "gate"]) -> tuple[MeshBatch, MeshBatch]:
+def moving(name: _Moving) -> tuple[MeshBatch, MeshBatch]:
     """One of the paper's domains: its undeformed mesh, and that mesh after its boundary moved (FEMWARP).
 
     "circle" is a small hole in a long rectangle, moved by four of its diameters; "bar" a thin
     upright hole, moved; "gate" a notch in the outer boundary, pushed in.  The paper shows pictures
     only: the dimensions are ours (experiments/paper/make_meshes.py).
     """
+    if name not in get_args(_Moving):
+        raise ValueError(f"domains.moving knows {', '.join(map(repr, get_args(_Moving)))}, not {name!r}")
     with resources.as_file(resources.files("torchmesh") / "data" / f"{name}.vtk") as path:
         mesh = read(path)
         displacement = np.asarray(load(path).mesh.point_data["displacement"], dtype=np.float64)[:, :2]

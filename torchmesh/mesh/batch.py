@@ -31,6 +31,7 @@ from .ragged import (
     true_rows,
 )
 from .rows import check_rows
+from .typed import check_meshes
 from .validation import (
     checked_constraints,
     checked_fixed,
@@ -299,6 +300,7 @@ def join(meshes: Sequence[MeshBatch]) -> MeshBatch:
     """
     if not meshes:
         raise InvalidMeshError("join needs at least one mesh")
+    check_meshes("join", MeshBatch, meshes)
     kinds = {(m.points.dtype, m.points.device) for m in meshes}
     if len(kinds) > 1:
         raise InvalidMeshError(f"the meshes to join differ in dtype or device: {sorted(map(str, kinds))}; use .to(...)")

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from ..kernels.library import library_for
+from .typed import check_of
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -38,12 +39,17 @@ _thread = _Thread()
 
 
 def without_autograd(verb: Callable[_P, _R]) -> Callable[_P, _R]:
-    """`verb`, whose arguments come detached from the graph of autograd, and in which autograd and autocast are off."""
+    """`verb`, whose arguments come detached from the graph of autograd, and in which autograd and autocast are off.
+
+    Raises TypeError, at a call from outside, for what is not the mesh or the record that the annotations say.
+    """
+    check = check_of(verb)
 
     @functools.wraps(verb)
     def plain(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         if _thread.inside and not any(map(_requires_grad, (*args, *kwargs.values()))):
             return verb(*args, **kwargs)
+        check(args, kwargs)
         before, _thread.inside = _thread.inside, True
         try:
             with torch.no_grad(), without_autocast():

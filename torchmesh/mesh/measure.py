@@ -28,6 +28,7 @@ from .ragged import (
     true_rows,
 )
 from .triangle import angles, corners
+from .typed import typed
 
 # What a batch without quads has for them, once for all.
 _NO_NUMBERS, _NO_FLAGS = torch.zeros(0, dtype=torch.float64), torch.zeros(0, dtype=torch.bool)
@@ -58,6 +59,7 @@ class Quality:
     quad_upright: Tensor = _NO_FLAGS
 
 
+@typed
 def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) -> Quality:
     """Measure a batch; inverted triangles and corners count with the shape of their mirror image (Kim 2017).
 
@@ -212,6 +214,7 @@ def refuse_inverted(batch: MeshBatch, why: str) -> None:
         raise InvalidMeshError(f"mesh {b}: triangles row {int(row)} is inverted{why}")
 
 
+@typed
 def minimum_angle(batch: MeshBatch) -> Tensor:
     """(B,) smallest unsigned angle of each mesh, in degrees, over the corners of triangles and quads."""
     least = segment_min(shapes(batch)[0], batch.triangle_offsets)

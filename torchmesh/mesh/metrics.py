@@ -39,6 +39,7 @@ from .ragged import (
     segment_sum,
 )
 from .triangle import corners
+from .typed import typed
 
 __all__ = ["METRICS", "QUAD_METRICS", "Metric", "Summary", "evaluate", "measure", "measure_quads", "percentiles"]
 
@@ -130,6 +131,7 @@ QUAD_METRICS: dict[str, Metric] = {
 """The metrics of quads by name.  Shape and condition are of the worst corner; the inverse mean ratio is the latter."""
 
 
+@typed
 def measure(batch: MeshBatch, name: str) -> Tensor:
     """(T,) float64, the metric `name` of every triangle, differentiable with respect to `batch.points`.
 
@@ -138,6 +140,7 @@ def measure(batch: MeshBatch, name: str) -> Tensor:
     return _metric(name, METRICS).formula(corners(batch.points.to(torch.float64), batch.triangles))
 
 
+@typed
 def measure_quads(batch: MeshBatch, name: str) -> Tensor:
     """(Q,) float64, the metric `name` of every quad, differentiable with respect to `batch.points`.
 
@@ -175,6 +178,7 @@ class Summary:
         return [dict(zip(names, row, strict=True)) for row in rows]
 
 
+@typed
 def evaluate(
     batch: MeshBatch, names: Sequence[str] | None = None, percents: Sequence[float] = (5, 50, 95)
 ) -> dict[str, Summary]:

@@ -28,6 +28,7 @@ from ..mesh.measure import refuse_inverted
 from ..mesh.quads import HALVES, SAMPLES, halved, has_quads, sample_offsets, sampled, spread_to_halves, worst_of_samples
 from ..mesh.ragged import spread
 from ..mesh.triangle import SQRT3, Corners, corners, inverse_mean_ratio, signed_area, squared_edge_lengths
+from ..mesh.typed import typed
 from .jacobian import Target, equilateral, invariants, select_rows, target_of
 from .metric_field import MetricField, edge_map_of, mean_at_vertices
 from .metric_tensors import edge_matrices, equilateral_metric, metric_of_targets, shape_edges, turned
@@ -93,6 +94,7 @@ def _surface_targets(points: Tensor, triangles: Tensor) -> Tensor:
     return unit[:, :, None] * rows
 
 
+@typed
 def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricField:
     """The metric in which the triangles of `reference` are nearly equilateral, at its vertices.
 
@@ -115,6 +117,7 @@ def metric_from(reference: MeshBatch, moved: MeshBatch | None = None) -> MetricF
     return MetricField(mean_at_vertices(reference, metric))
 
 
+@typed
 def target_quality(batch: MeshBatch, targets: Targets) -> Tensor:
     """(T,) inverse mean ratio towards the targets: 1 for an ideal triangle, infinite for a flat one.
 

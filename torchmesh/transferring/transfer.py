@@ -19,6 +19,7 @@ from ..mesh.detached import without_autograd
 from ..mesh.measure import refuse_inverted
 from ..mesh.quads import halved, has_quads
 from ..mesh.ragged import counts_from_offsets, owner_of, true_rows
+from ..mesh.typed import typed
 from ..mesh.validation import fit_positions
 from ..optimising.linear_map import LinearMap
 from .location import locate, nearest_triangles, nearest_vertices
@@ -117,6 +118,7 @@ def transfer(
     before: MeshBatch, after: MeshBatch, values: Any, where: Where = ..., method: Method = ..., *,
     report: Literal[True],
 ) -> tuple[Tensor, TransferInfo]: ...  # fmt: skip
+@typed
 def transfer(
     before: MeshBatch,
     after: MeshBatch,

@@ -22,6 +22,7 @@ from ..errors import InvalidMeshError
 from ..mesh.batch import MeshBatch
 from ..mesh.interfaces import holding
 from ..mesh.measure import upright
+from ..mesh.typed import typed
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from .options import NewtonWays
 from .persisting import pushed, sizes_to_push
@@ -117,6 +118,7 @@ class EnoughFlips:
         return f"{count} enough to make it possible: {named}{more} (the fewest that were found, an upper bound)"
 
 
+@typed
 def enough_flips(mesh: MeshBatch, options: FlipSearch | None = None) -> EnoughFlips | None:
     """Flips after which one mesh of triangles is untangled; None where nothing was found.
 

@@ -13,12 +13,14 @@ from ..mesh.interfaces import Interfaces, holding
 from ..mesh.measure import refuse_inverted
 from ..mesh.quads import sampled
 from ..mesh.ragged import owner_of, segment_any
+from ..mesh.typed import typed
 from ..mesh.unfit import unfit_meshes, what_is_unfit
 from ..mesh.validation import fit_positions
 from ..optimising.laplacian import ExtensionSystem, edge_stiffness, harmonic_extension
 from ..optimising.linear_map import LinearMap
 
 
+@typed
 def femwarp(batch: MeshBatch, new_points: Tensor, *, hold: Tensor | None = None) -> MeshBatch:
     """Move the fixed vertices to `new_points` and let the others follow harmonically.
 
