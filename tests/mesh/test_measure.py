@@ -7,6 +7,7 @@ import pytest
 import torch
 from exact import double_areas, inverted
 
+import torchmesh as tm
 from torchmesh import MeshBatch, join, minimum_angle, quality
 from torchmesh.mesh.measure import upright
 from torchmesh.mesh.predicates import orientation
@@ -144,3 +145,20 @@ def test_a_quality_known_of_other_triangles_is_no_use():
     before, after = (make() for make in list(meshes.VALID.values())[:2])
     known = quality(after, known=(before, quality(before)))
     assert torch.equal(known.inverse_mean_ratio, quality(after).inverse_mean_ratio)
+
+
+@pytest.mark.parametrize("mesh", [meshes.moved_hole(), meshes.mixed()], ids=["triangles", "quads"])
+def test_measures_carry_no_gradient_whatever_the_points_require(mesh):
+    moving = mesh.with_points(mesh.points.clone().requires_grad_())
+    found, plain = tm.quality(moving), tm.quality(mesh)
+    for name, value in vars(found).items():
+        assert not value.requires_grad, name
+        assert torch.equal(value, getattr(plain, name)), name
+    assert not tm.minimum_angle(moving).requires_grad
+    assert any(s.mean.requires_grad for s in tm.metrics.evaluate(moving).values())
+
+
+def test_what_carries_no_gradient_says_so():
+    for verb in (tm.improve, tm.untangle, tm.smooth, tm.polish, tm.flip_to_delaunay, tm.remesh, tm.relax, tm.quality,
+                 tm.minimum_angle):  # fmt: skip
+        assert "result carries no gradient" in (verb.__doc__ or "")

@@ -73,6 +73,8 @@ def flip_to_delaunay(
     not flipped.  Vertices, boundary edges, constrained edges and edges of quads stay, and so does the number of
     triangles.  A mesh with a position that is not finite, or beyond 1e150, comes back as it is.
 
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
+
     around  (T,) bool: start from the edges of these triangles only
     metric  flip towards triangles that are equilateral in this metric; replaces the rule of the options
     """

@@ -77,6 +77,8 @@ def improve(
     inside a stage touches one mesh only, which goes on with the other stages and ends with `Status.FAILED`; the message
     names the stage and the error, and `report.valid` says whether the mesh is valid all the same.
 
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
+
     Raises InvalidMeshError when rows of the batch are out of range, when `options.reference` is not a valid mesh of the
     same triangles, and when sizes or targets do not fit the batch.
     """

@@ -2,7 +2,7 @@
 
 Minimisers work in place, and libraries read the memory of tensors: neither goes together with tensors that require
 gradients.  Under autocast, matrix products would round to half precision.  What has a derivative says so: the layers of
-`nn`, the losses, `transfer`, and `quality`.
+`nn`, the losses, `metrics`, `femwarp` and `transfer`.
 """
 
 import contextlib

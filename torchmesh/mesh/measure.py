@@ -64,7 +64,10 @@ def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) ->
     """Measure a batch; inverted triangles and corners count with the shape of their mirror image (Kim 2017).
 
     known  the batch as it was, and its quality then: only what changed since is measured
+
+    The result carries no gradient, whatever the points require; `metrics.evaluate` and `losses` have one.
     """
+    batch = _detached(batch)
     rows = None if known is None or len(batch.quads) or _is_soon_measured(batch) else _changed(known[0], batch)
     if known is None or rows is None or 2 * len(rows) > len(batch.triangles):
         area, ratio, upright = _measure(batch.points, batch.triangles)
@@ -83,6 +86,11 @@ def quality(batch: MeshBatch, known: tuple[MeshBatch, Quality] | None = None) ->
         max=segment_max(ratio, offsets),
         inverted=segment_count(~upright, offsets),
     )
+
+
+def _detached(batch: MeshBatch) -> MeshBatch:
+    """The batch without the graph of autograd: compiled loops measure it, or torch does, with the same result."""
+    return batch.with_points(batch.points.detach()) if batch.points.requires_grad else batch
 
 
 def _with_quads(batch: MeshBatch, area: Tensor, ratio: Tensor, upright: Tensor) -> Quality:
@@ -216,7 +224,11 @@ def refuse_inverted(batch: MeshBatch, why: str) -> None:
 
 @typed
 def minimum_angle(batch: MeshBatch) -> Tensor:
-    """(B,) smallest unsigned angle of each mesh, in degrees, over the corners of triangles and quads."""
+    """(B,) smallest unsigned angle of each mesh, in degrees, over the corners of triangles and quads.
+
+    The result carries no gradient; `metrics.evaluate` has one.
+    """
+    batch = _detached(batch)
     least = segment_min(shapes(batch)[0], batch.triangle_offsets)
     if has_quads(batch):
         own = quadrilateral.minimum_angle(quad_corners(batch.points.to(torch.float64), batch.quads))

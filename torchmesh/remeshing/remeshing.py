@@ -66,6 +66,8 @@ def remesh(batch: MeshBatch, options: RemeshOptions | None = None) -> tuple[Mesh
     Fixed vertices stay, as do boundary and constrained edges with their ends (halved at most, with
     `split_boundary`) and the regions they bound.  Kept vertices keep their order; inserted ones
     come after them, mesh by mesh.  A mesh that has inverted triangles comes back as it was.
+
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
     """
     refuse_quads(batch, "remesh (unlike improve under topology 'full')")
     options = options or RemeshOptions()

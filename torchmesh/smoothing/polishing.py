@@ -146,6 +146,8 @@ def polish(batch: MeshBatch, options: PolishOptions | None = None) -> tuple[Mesh
     than 8 bad triangles that are also more than 1 % of all (see `levels`); triangles that the boundary forces to be bad
     do not count.  No mesh gets a smaller smallest angle, or more triangles beyond `angle` or `ratio`.  Its largest
     inverse mean ratio may grow up to `ratio`, but never beyond both that and what it was.
+
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
     """
     options = options or PolishOptions()
     if len(batch.quads):

@@ -135,6 +135,8 @@ def smooth(
     `Status.INVERTED`, one with a position that is not finite, or beyond 1e150, with `Status.NOT_FINITE`, and one for
     which no curves to slide along can be made with `Status.FAILED`.
 
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
+
     free     (V,) bool: of the vertices that may move, move only these; None: all
     monitor  called with the iteration and the energies of the meshes still running
     curves   the curves to slide along, as an earlier call returned them (`info.curves`); None: those of

@@ -40,6 +40,8 @@ def untangle(
     valid.  Of each other mesh the try with the fewest inverted triangles comes back.  A mesh with a position that is
     not finite, or beyond 1e150, comes back as it is, with `Status.NOT_FINITE`.
 
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
+
     reference  the meshes before they were deformed: the same triangles, all upright.  The first try of "regularised"
                then takes each triangle's shape and size there as its target, and minimises the energy further once
                the mesh is valid

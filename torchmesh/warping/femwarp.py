@@ -174,6 +174,8 @@ def relax(batch: MeshBatch, *, interfaces: Interfaces | None = None) -> MeshBatc
     Proceedings of the London Mathematical Society s3-13, 1963); it restores scrambled interiors.  A mesh with a
     position that is not finite, or beyond 1e150, comes back as it is.  Raises InvalidMeshError when no vertex of a
     piece is fixed.
+
+    The result carries no gradient, whatever the points require; `nn`, `losses`, `metrics` and `femwarp` have one.
     """
     unfit = unfit_meshes(batch)
     if bool(unfit.any()):
