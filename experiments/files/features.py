@@ -10,6 +10,7 @@ import numpy as np
 
 import torchmesh as tm
 from torchmesh.files.formats.format import Document
+from torchmesh.files.formats.groups import families, numbered
 from torchmesh.files.formats.registry import FORMATS
 
 CELLS = 4  # along the square's side
@@ -104,11 +105,8 @@ def with_names(form: str) -> meshio.Mesh:
 
 def has_names(document: Document, _: tm.MeshBatch) -> bool:
     mesh = document.mesh
-    if document.format == "med":
-        return ["wall"] in list(getattr(mesh, "cell_tags", {}).values())
     sets = [name.lower() for name in (*mesh.cell_sets, *mesh.point_sets)]
-    groups = {name for name, value in mesh.field_data.items() if np.shape(value) == (2,)}
-    return ("wall" in groups and document.format in ("gmsh", "su2")) or "wall" in sets
+    return "wall" in {**numbered(mesh), **families(mesh)} or "wall" in sets
 
 
 def field(kind: str, values: np.ndarray) -> Callable[[str], meshio.Mesh]:

@@ -33,6 +33,9 @@ _NO_REGION_WORDS = frozenset((
     "threads", "colour", "color", "refine", "refined", "refinement", "refinements", "coarsen", "error", "quality",
     "visited", "valid", "valence", "count", "counts",
 ))  # fmt: skip
+# meshio's set of the entities that bound others, which it also folds into one array of numbers with the other sets,
+# under all their names: the cells of the groups behind them have no numbers there.
+_NO_GROUP = "gmsh:bounding_entities"
 # What FEniCS and its tutorials call tags of cells.
 _FENICS = ("f", "name_to_read")
 _SUFFIX = re.compile(r"(?<=[a-z]{3})(ids?|nos?|numbers?|nums?|index)$")
@@ -76,7 +79,7 @@ class Regions:
         taken, others = [], []
         for name, blocks in mesh.cell_data.items():
             values = on_elements(mesh, blocks)
-            if values.dtype.kind not in "iub" or values.ndim != 1:
+            if values.dtype.kind not in "iub" or values.ndim != 1 or _NO_GROUP in name:
                 continue
             found = len(np.unique(values))
             if name in REGION_TAGS or (means_regions(name) and 2 * found <= len(values)):

@@ -14,6 +14,7 @@ from ..mesh.batch import MeshBatch
 from ..mesh.connectivity import keys_of
 from .content import Content
 from .fields import REGION_TAGS
+from .formats.groups import families, is_group
 from .source import Source
 
 
@@ -63,15 +64,16 @@ def groups(mesh: meshio.Mesh, dimension: int) -> Iterator[tuple[str, list[np.nda
     """The named groups of cells of a dimension: for each block the rows that are in the group."""
     for name, members in mesh.cell_sets.items():
         yield name, [np.asarray(m, np.int64) for m in members]
+    # What MED calls families: numbers with any number of names, of cells of any dimension.
+    for name, masks in families(mesh).items():
+        yield str(name), [np.flatnonzero(mask) for mask in masks]
     tags = next((mesh.cell_data[tag] for tag in REGION_TAGS if tag in mesh.cell_data), None)
     if tags is None:
         return
     numbered = [
         (name, int(value[0]))
         for name, value in mesh.field_data.items()
-        if np.shape(value) == (2,) and np.asarray(value).dtype.kind in "iu" and int(value[1]) == dimension
+        if is_group(value) and int(value[1]) == dimension
     ]
-    # Groups that MED calls families: numbers with any number of names, of cells of any dimension.
-    numbered += [(str(name), number) for number, names in getattr(mesh, "cell_tags", {}).items() for name in names]
     for name, number in numbered:
         yield name, [np.flatnonzero(values == number) for values in tags]

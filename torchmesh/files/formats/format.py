@@ -10,7 +10,8 @@ from typing import Any
 import meshio
 import numpy as np
 
-from ..fields import region_tag
+from ..fields import REGION_TAGS, region_tag
+from .groups import FAMILY, as_sets, families, is_group, numbered, numbers_for, with_positive_numbers
 
 # meshio's name of a cell type: line, triangle, quad, polygon, vertex.  "higher" stands for all of _HIGHER.
 FLAT = ("triangle", "quad")
@@ -100,6 +101,8 @@ class Format(abc.ABC):
     point_sets   can it hold named sets of points
     set_arrays   are sets written as data of 0 and 1 under their names
     field_data   can it hold data of the whole mesh, or names of groups
+    names_only   of field data, can it hold names of groups only
+    families     can it hold the families of MED
     planar       have its points two coordinates instead of three
     index_type   the integer type of cell rows where it must be a certain one
     counts       does a file say how many points and cells it has, or where it ends
@@ -115,6 +118,8 @@ class Format(abc.ABC):
     point_sets: bool = False
     set_arrays: bool = False
     field_data: bool = False
+    names_only: bool = False
+    families: bool = False
     planar: bool = False
     index_type: type | None = None
     counts: bool = True
@@ -163,9 +168,10 @@ class Format(abc.ABC):
 
     def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
         """The mesh without what the format cannot hold, and names for what was taken away."""
+        mesh, nameless = self._with_its_groups(mesh)
         mesh, straight = self._in_its_types(mesh)
         kept = [i for i, b in enumerate(mesh.cells) if self._holds(b.type)]
-        lost = {f"{b.type} cells" for i, b in enumerate(mesh.cells) if i not in kept} | straight
+        lost = {f"{b.type} cells" for i, b in enumerate(mesh.cells) if i not in kept} | straight | nameless
         cells = [mesh.cells[i] for i in kept]
         if self.index_type is not None:
             cells = [meshio.CellBlock(b.type, b.data.astype(self.index_type)) for b in cells]
@@ -177,8 +183,10 @@ class Format(abc.ABC):
                 cell_data.setdefault(name, [flags[i] for i in kept])
             for name, rows in mesh.point_sets.items():
                 point_data.setdefault(name, np.isin(np.arange(len(mesh.points)), rows).astype(np.int32))
-        if not self.cell_sets:
-            lost |= {f"cell set {name!r}" for name in mesh.cell_sets}
+        gone = [
+            name for name, sets in mesh.cell_sets.items() if any(map(len, sets)) and not any(len(sets[i]) for i in kept)
+        ]
+        lost |= {f"cell set {name!r}" for name in (gone if self.cell_sets else mesh.cell_sets)}
         if not self.point_sets:
             lost |= {f"point set {name!r}" for name in mesh.point_sets}
         if not self.field_data:
@@ -189,7 +197,7 @@ class Format(abc.ABC):
             point_data=point_data,
             cell_data=cell_data,
             field_data=dict(mesh.field_data),
-            cell_sets={n: [s[i] for i in kept] for n, s in mesh.cell_sets.items()}
+            cell_sets={n: [s[i] for i in kept] for n, s in mesh.cell_sets.items() if n not in gone}
             if self.cell_sets and not self.set_arrays
             else None,
             point_sets=mesh.point_sets if self.point_sets and not self.set_arrays else None,
@@ -197,7 +205,47 @@ class Format(abc.ABC):
         )
         # meshio's readers put attributes on a mesh that its type does not declare, such as the families of MED.
         vars(fitted).update({name: value for name, value in vars(mesh).items() if name not in vars(fitted)})
+        if self.names_only:
+            lost |= self._fit_names(mesh, fitted, kept)
         return fitted, lost
+
+    def _with_its_groups(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        """The mesh with the families of MED as names of numbers or as sets, and names for those that are neither."""
+        groups = {} if self.families else families(mesh)
+        if not groups:
+            return mesh, set()
+        made = meshio.Mesh.copy(mesh)
+        vars(made).update({name: value for name, value in vars(mesh).items() if name not in vars(made)})
+        del made.cell_tags
+        names: dict[str, np.ndarray] = {}
+        tag = None
+        if self.field_data:
+            with_positive_numbers(made, FAMILY)
+            tag = region_tag(made) if self.names_only else next(t for t in REGION_TAGS if t in made.cell_data)
+            names = numbers_for(made, groups, tag)
+            made.field_data = {**made.field_data, **names}
+        rest = {name: masks for name, masks in groups.items() if name not in names}
+        if self.cell_sets:
+            made.cell_sets.update(as_sets(rest))
+            rest = {}
+        told = [0, *(number for number, own in mesh.cell_tags.items() if own)]
+        told_by_names = not rest and bool(np.isin(np.concatenate(mesh.cell_data[FAMILY]), told).all())
+        if told_by_names and self.cell_data != "all" and tag != FAMILY:
+            del made.cell_data[FAMILY]  # its numbers say no more than the names, which are there
+        return made, {f"group {name!r}" for name in rest}
+
+    def _fit_names(self, mesh: meshio.Mesh, fitted: meshio.Mesh, kept: list[int]) -> set[str]:
+        """Takes away field data that is no name of a group, and names whose cells are gone or not numbered any more."""
+        before, after, lost = numbered(mesh), numbered(fitted), set()
+        for name, value in mesh.field_data.items():
+            was = before.get(name)
+            now = after.get(name, [np.zeros(len(block.data), bool) for block in fitted.cells])
+            whole = was is None or all(np.array_equal(was[i], mask) for i, mask in zip(kept, now, strict=True))
+            gone = was is not None and not any(mask.any() for mask in now)
+            if not is_group(value) or not whole or gone:
+                del fitted.field_data[name]
+                lost.add(f"field data {name!r}")
+        return lost
 
     def _holds(self, kind: str) -> bool:
         """Can it hold cells of this type?"""

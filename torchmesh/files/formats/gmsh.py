@@ -104,7 +104,7 @@ def _version(mesh: meshio.Mesh) -> str:
     return "2.2" if any(grouped) and not all(bool(values.all()) for values in groups) else "4.1"
 
 
-GMSH = GmshFormat("gmsh", (".msh",), ALL_BUT_POLYGONS, field_data=True)
+GMSH = GmshFormat("gmsh", (".msh",), ALL_BUT_POLYGONS, field_data=True, names_only=True)
 
 
 def _own_numbers(file: MshFile) -> dict[str, Any]:

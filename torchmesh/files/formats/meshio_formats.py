@@ -23,6 +23,7 @@ from .checks import (
     is_binary_stl,
 )
 from .format import FLAT, LINEAR, Document, Format
+from .groups import names_of, one_word_each, said_of_words, with_positive_numbers
 from .meshio_numbers import Numbers, counted, of_avs, of_permas
 from .skipped import (
     each_once,
@@ -123,6 +124,23 @@ class MeshioFormat(Format):
             meshio.write(str(path), mesh, file_format=self.name)
 
 
+@dataclass(frozen=True)
+class NetgenFormat(MeshioFormat):
+    """A name is one word, and its number is positive."""
+
+    def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        fitted, lost = super().fit(mesh)
+        words = one_word_each(fitted.field_data)
+        new = with_positive_numbers(fitted, self.region_name) if self.region_name in fitted.cell_data else {}
+        fitted.field_data = {
+            words[name]: np.array([new.get(int(n), int(n)), int(dim)]) for name, (n, dim) in fitted.field_data.items()
+        }
+        return fitted, lost
+
+    def conversions(self, mesh: meshio.Mesh) -> list[str]:
+        return said_of_words(names_of(mesh, (1, 2)))
+
+
 class _Guard:
     """A stream that raises when it is read past its end again and again."""
 
@@ -180,9 +198,9 @@ SOLVER_FORMATS = (
         "permas", (".post", ".dato"), LINEAR, **_NO_DATA, check=check_permas, skipped=in_permas, stream="text",
         numbers=of_permas,
     ),
-    MeshioFormat(
-        "netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True, skipped=in_netgen,
-        stream="text", numbers=counted,
+    NetgenFormat(
+        "netgen", (".vol",), LINEAR, **_ONE_TAG, region_name="netgen:index", field_data=True, names_only=True,
+        skipped=in_netgen, stream="text", numbers=counted,
     ),
     MeshioFormat(
         "avsucd", (".avs",), FLAT, **_ONE_TAG, region_name="avsucd:material", check=check_avs, skipped=in_avs,

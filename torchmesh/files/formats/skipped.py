@@ -92,7 +92,15 @@ def in_netgen(data: bytes) -> list[str]:
     # A row begins with the numbers of its surface, boundary condition and domains, of which the second is kept.
     rows = re.findall(rb"^\s*(\d+) +\d+ +(\d+) +(\d+) +[34] +\d+ +\d+ +\d+", data, re.M)
     domains = [b"domains of surfaceelements"] if any(row[1:] != (b"0", b"0") for row in rows) else []
-    return [*_comments(data, b"#", but=_NETGEN_HEADS), *map(_text, found + domains)]
+    names = re.findall(rb"^[ \t]*\d+[ \t]+([^\s\d][^\r\n]*?[ \t]+[^\r\n]*\S)", _netgen_names(data), re.M)
+    lost = [f"the name {_text(name)!r}" for name in names]
+    return [*_comments(data, b"#", but=_NETGEN_HEADS), *map(_text, found + domains), *lost]
+
+
+def _netgen_names(data: bytes) -> bytes:
+    """The sections of names: of those names that are several words meshio reads none."""
+    sections = re.findall(rb"^(?:materials|bcnames|cd[23]names)[ \t\r]*\n(?:[ \t]*\d.*\n?)*", data, re.M)
+    return b"\n".join(sections)
 
 
 def in_permas(data: bytes) -> list[str]:

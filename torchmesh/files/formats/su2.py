@@ -14,7 +14,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from ..fields import region_tag
 from .format import FLAT, LINEAR, Document, Format, counted_through
+from .groups import names_of, one_word_each, said_of_words
 from .su2_zones import Su2Lines, dimension, flat_points, numbers_in_zones, read_zones, section_rows, zones_of
 from .text_numbers import number_lines, numbers_of
 
@@ -66,6 +68,24 @@ class Su2Format(Format):
             stream.writelines(_lines(mesh, like.rest.height if like is not None else None))
             stream.writelines(line + "\n" for line in (like.rest.rest if like is not None else []))
 
+    def fit(self, mesh: meshio.Mesh) -> tuple[meshio.Mesh, set[str]]:
+        """Beside what other formats do, vertices of a group are a marker of its name, and triangles have no groups."""
+        fitted, lost = super().fit(mesh)
+        tag = region_tag(mesh)
+        if _TAG in fitted.cell_data:
+            blocks = zip(fitted.cells, fitted.cell_data[_TAG], strict=True)
+            if len({int(n) for block, values in blocks if block.dim == 2 for n in np.unique(values)}) > 1:
+                lost.add(f"cell data {tag!r} of triangles and quads")
+        for name in [name for name, value in fitted.field_data.items() if int(value[1]) == 2]:
+            del fitted.field_data[name]
+            lost.add(f"field data {name!r}")
+        if tag != _TAG:
+            _number_vertices(fitted)
+        return fitted, lost
+
+    def conversions(self, mesh: meshio.Mesh) -> list[str]:
+        return said_of_words(names_of(mesh, (0, 1)))
+
     def left_behind(self, document: Document, target: Format, same_rows: bool) -> list[str]:
         file: Su2Lines = document.rest
         periodic = ["the pairs of periodic points (SEND_RECEIVE)"] if PERIODIC in document.mesh.field_data else []
@@ -80,7 +100,7 @@ class Su2Format(Format):
 
 SU2 = Su2Format(
     "su2", (".su2",), ("vertex", *LINEAR), point_data="none", cell_data="regions", region_name=_TAG,
-    field_data=True, planar=True,
+    field_data=True, names_only=True, planar=True,
 )  # fmt: skip
 
 
@@ -139,10 +159,32 @@ def _parse(lines: list[str]) -> tuple[meshio.Mesh, Su2Lines]:
     if found != markers:
         raise ValueError(f"NMARK says {markers} markers, the file has {found}")
     data = {_TAG: [np.full(len(nodes), own) for _, own, nodes in cells]}
-    groups = {name: np.array([number, 1]) for name, number in names.items()}
+    of_lines = {own for kind, own, _ in cells if kind != "vertex"}
+    of_points = {own for kind, own, _ in cells if kind == "vertex"} - of_lines
+    groups = {name: np.array([number, int(number not in of_points)]) for name, number in names.items()}
     file.starts = [0] * len(cells)
     file.remarks |= any("%" in lines[number] for numbers in [file.points, *file.cells] for number in numbers)
     return meshio.Mesh(points, [(k, nodes) for k, _, nodes in cells], cell_data=data, field_data=groups), file
+
+
+def _number_vertices(mesh: meshio.Mesh) -> None:
+    """Gives groups of vertices numbers that no groups of lines have: a marker is known by its number alone."""
+    if _TAG not in mesh.cell_data:
+        return
+    tags = mesh.cell_data[_TAG]
+    lines = {
+        int(n) for block, values in zip(mesh.cells, tags, strict=True) if block.dim == 1 for n in np.unique(values)
+    }
+    lines |= {int(value[0]) for value in mesh.field_data.values() if int(value[1]) == 1}
+    names = {int(value[0]): name for name, value in mesh.field_data.items() if int(value[1]) == 0}
+    new: dict[int, int] = {}
+    points = [i for i, block in enumerate(mesh.cells) if block.dim == 0]
+    for number in {int(n) for i in points for n in np.unique(tags[i])}:
+        new[number] = number if number not in lines else 1 + max(*lines, *new.values(), *names)
+        if number in names:
+            mesh.field_data[names[number]] = np.array([new[number], 0])
+    for i in points:
+        tags[i] = np.array([new[number] for number in tags[i].tolist()], np.int64)
 
 
 def _elements(rows: list[str], section: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -176,9 +218,10 @@ def _lines(mesh: meshio.Mesh, height: float | None = None) -> Iterator[str]:
 
     height  the third coordinate of all points; None for a file of two dimensions
     """
-    names = {int(v[0]): name for name, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 1}
+    names = {int(v[0]): name for name, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) < 2}
     paired = {tag for tag, name in names.items() if name == PERIODIC}  # they hold for the points that were
     names = {tag: name for tag, name in names.items() if tag not in paired}
+    words = one_word_each(names.values())
     inner = [block for block in mesh.cells if block.type in ("triangle", "quad")]
     members: dict[int, list[str]] = {tag: [] for tag in names}
     counts = dict.fromkeys(names, 0)
@@ -198,6 +241,6 @@ def _lines(mesh: meshio.Mesh, height: float | None = None) -> Iterator[str]:
     yield from number_lines(np.column_stack([mesh.points, third]))
     yield f"NMARK= {len(members)}\n"
     for tag, lines in members.items():
-        name = "_".join(names.get(tag, str(tag)).split())
+        name = words[names[tag]] if tag in names else str(tag)
         yield f"MARKER_TAG= {name}\nMARKER_ELEMS= {counts[tag]}\n"
         yield from lines

@@ -13,7 +13,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from ..fields import REGION_TAGS
 from .format import ALL_CELLS, Document, Format
+from .groups import is_group
 from .vtk import VTK
 from .vtkhdf import VTKHDF
 from .vtu import VTP, VTU
@@ -72,14 +74,8 @@ class VtmFormat(Format):
             cells += [(block.type, vertices[block.data]) for block in document.mesh.cells]
             file.parts.append(_Part(name, document, vertices, rows))
         mesh = meshio.Mesh(points, cells)
-        mesh.cell_data[BLOCK] = [
-            np.full(len(block.data), number)
-            for number, part in enumerate(file.parts, 1)
-            for block in part.document.mesh.cells
-        ]
-        titles = [title or f"block-{number}" for number, (_, title) in enumerate(found, 1)]
-        mesh.field_data = {title: np.array([number, 2]) for number, title in enumerate(titles, 1)}
         at_nodes, by_element = _give_data(mesh, file.parts)
+        _name_blocks(mesh, file.parts, [title for _, title in found])
         skipped = tuple(dict.fromkeys(name for part in file.parts for name in part.document.skipped))
         return Document(mesh, self.name, rest=file, at_nodes=at_nodes, by_element=by_element, skipped=skipped)
 
@@ -173,6 +169,27 @@ def _give_data(mesh: meshio.Mesh, parts: list[_Part]) -> tuple[dict[str, np.ndar
         alone = set(part.document.mesh.cell_data) - everywhere[1]
         by_element |= {f"cell data {name!r} of {part.file}": None for name in sorted(alone)}
     return at_nodes, tuple(by_element)
+
+
+def _name_blocks(mesh: meshio.Mesh, parts: list[_Part], titles: list[str]) -> None:
+    """Gives the mesh the names of blocks, which bound regions, and the names of groups in them.
+
+    Names of groups belong to the numbers that the blocks themselves have; names of blocks are sets then.
+    """
+    sizes = [len(block.data) for block in mesh.cells]
+    known = [{n: tuple(v) for n, v in p.document.mesh.field_data.items() if is_group(v)} for p in parts]
+    same = all(own.get(name, value) == value for names in known for name, value in names.items() for own in known)
+    if any(known) and same and any(name in REGION_TAGS for name in mesh.cell_data):
+        mesh.field_data = {name: np.array(value) for names in known for name, value in names.items()}
+        for part, title in zip(parts, titles, strict=True):
+            if title:
+                rows = range(part.cells.start, part.cells.stop)
+                mesh.cell_sets[title] = [np.arange(size if i in rows else 0) for i, size in enumerate(sizes)]
+        return
+    numbers = [number for number, part in enumerate(parts, 1) for _ in part.document.mesh.cells]
+    mesh.cell_data[BLOCK] = [np.full(size, number) for size, number in zip(sizes, numbers, strict=True)]
+    titles = [title or f"block-{number}" for number, title in enumerate(titles, 1)]
+    mesh.field_data = {title: np.array([number, 2]) for number, title in enumerate(titles, 1)}
 
 
 def _write_part(path: Path, part: _Part, before: meshio.Mesh, after: meshio.Mesh) -> None:
