@@ -1,6 +1,7 @@
 """The speed targets are measured, on meshes so small that their numbers mean nothing."""
 
 import json
+import math
 
 import pytest
 
@@ -22,7 +23,8 @@ def test_a_target_is_measured(cache, tmp_path, capsys, target, needs):
     assert targets.main(["--cache", str(cache), "--only", str(target), *TINY, "--out", str(out)]) == 0
     assert f"| T{target} |" in capsys.readouterr().out
     rows = json.loads(out.read_text())["rows"]
-    assert all(row["target"] == target and row["ratio"] > 0 for row in rows)
+    # The time of an iteration is a difference, which may be negative on meshes so small.
+    assert all(row["target"] == target and math.isfinite(row["ratio"]) for row in rows)
     assert all(row["goal"] is None or row["goal"] > 0 for row in rows)
     assert any(row["goal"] for row in rows)
 

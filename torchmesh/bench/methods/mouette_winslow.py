@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import torch
 
@@ -33,7 +35,9 @@ def mouette(points: Array, triangles: Array, fixed: Array) -> Outcome:
         solver = M.parametrization.WinslowInjectiveEmbedding(
             surface, at, ref_jacs=np.tile(ideal, (len(faces), 1, 1)), verbose=False
         )
-        with Stopwatch() as watch:
+        with warnings.catch_warnings(), Stopwatch() as watch:
+            # It gives SciPy options that SciPy 1.17 no longer likes.
+            warnings.simplefilter("ignore", DeprecationWarning)
             solver.run()
         return np.array([solver.uvs[v] for v in surface.id_vertices]), watch.seconds
 
