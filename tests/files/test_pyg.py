@@ -30,6 +30,15 @@ def test_there_and_back_is_the_same_bit_for_bit(dtype):
     assert same(tm.from_pyg(tm.to_pyg(batch)), batch)
 
 
+def test_batches_of_which_only_some_meshes_have_quads_come_back():
+    square = tm.MeshBatch.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1.0]], [], quads=[[0, 1, 2, 3]])
+    for meshes in ([grid(), square], [square, grid()], [grid(), square, square]):
+        batch = tm.join(meshes)
+        graphs = tm.to_pyg(batch)
+        assert same(tm.from_pyg(graphs), batch)
+        assert torch.equal(graphs.quad_index.T, batch.quads)
+
+
 def test_one_graph_is_one_mesh():
     data = tm.to_pyg(SAMPLES).to_data_list()
     assert len(data) == len(SAMPLES)

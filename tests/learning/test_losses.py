@@ -164,6 +164,7 @@ def test_minimum_jacobian_is_the_ratio_of_areas():
     ("loss", "options", "message"),
     [
         (losses.inverse_mean_ratio, {"power": 0}, "power"),
+        (losses.inverse_mean_ratio, {"power": 1.5}, "power must be a whole number"),
         (losses.inverse_mean_ratio, {"limit": 1.0}, "limit"),
         (losses.untangle_beta, {"beta": -1.0}, "beta"),
         (losses.regularised, {"eps": 0.0}, "eps"),
@@ -223,3 +224,17 @@ def test_scales_are_computed_once_for_a_mesh_and_anew_when_it_changes(monkeypatc
     with torch.inference_mode():
         mine = mesh.with_points(mesh.points * 1)
         torch.testing.assert_close(tm.losses.regularised(mine.points + 0.02, mine), second)
+
+
+@pytest.mark.parametrize("size", [1.0, 0.0])
+def test_a_mesh_that_encloses_no_area_gives_a_scale(size):
+    """Its upright and inverted triangles cancel, or all its vertices coincide."""
+    mesh = tm.MeshBatch.from_arrays([[0, 0], [1, 0], [0, 1], [1, 1.0]], [[0, 1, 2], [1, 3, 2]])
+    points = mesh.points.clone()
+    points[3] = points[0]
+    mesh = mesh.with_points(size * points)
+    moved = MESH.points[:4].detach().clone().requires_grad_()
+    loss = losses.regularised(moved, mesh)
+    loss.sum().backward()
+    assert bool(loss.isfinite().all())
+    assert bool(moved.grad.isfinite().all())

@@ -290,3 +290,38 @@ def test_constants_are_kept_to_the_bit(name, where):
     values = torch.full((len(before.points if where == "points" else before.triangles),), 1 / 3, dtype=torch.float64)
     made = transfer(before, after, values, where)
     assert torch.equal(made, torch.full_like(made, 1 / 3))
+
+
+def test_a_projection_of_values_that_are_not_finite_is_refused_by_mesh():
+    """It came back as zeros: each value of a projection depends on all values of the mesh."""
+    before, after = (join(side) for side in zip(VALID["square"], VALID["ring"], strict=True))
+    values = torch.ones(len(before.points), dtype=torch.float64)
+    for bad in (torch.nan, torch.inf):
+        values[-1] = bad
+        with pytest.raises(InvalidMeshError, match="mesh 1: its values are not all finite"):
+            transfer(before, after, values, method="conservative")
+
+
+@pytest.mark.parametrize("where", ["points", "triangles"])
+def test_infinite_values_stay_infinite(where):
+    before, after = VALID["other counts"]
+    values = torch.ones(len(before.points) if where == "points" else len(before.triangles), dtype=torch.float64)
+    values[len(values) // 2] = -torch.inf
+    found = transfer(before, after, values, where)
+    assert bool((found == -torch.inf).any())
+    assert not bool(found.isnan().any())
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.4])
+def test_a_mesh_is_covered_by_itself(scale):
+    mesh = VALID["square"][0]
+    mesh = mesh.with_points(mesh.points * scale)
+    info = transfer(mesh, mesh, field_in(mesh), "triangles", report=True)[1]
+    assert [int(info.moved), int(info.outside), float(info.uncovered), float(info.missed)] == [0, 0, 0, 0]
+
+
+def test_a_batch_of_no_meshes_has_no_values():
+    none = VALID["square"][0].select(torch.tensor([False]))
+    for method in ("linear", "conservative", "nearest"):
+        for where in ("points", "triangles"):
+            assert transfer(none, none, torch.zeros(0, 2), where, method).shape == (0, 2)

@@ -27,11 +27,14 @@ def to_pyg(batch: MeshBatch) -> Any:
     fixed                   (V,) bool
     constrained_edge_index  (2, K) int64, each constrained edge once, as given
     frame                   (1, 3, 3) float64, the mesh's plane in space
-    quad                    (4, Q) int64, only where the mesh has quads, whose diagonals are no edges of the graph
+    quad_index              (4, Q) int64, in every graph if one of the meshes has quads, and else in none; the
+                            diagonals of quads are no edges of the graph
 
     Raises MissingDependencyError without torch_geometric.
     """
     data, batched = _torch_geometric()
+    # torch_geometric takes the names that the first graph has, and counts vertices on where one contains "index".
+    quads = len(batch.quads) > 0
     graphs = []
     for mesh in batch.split():
         edge = edges_of(mesh).T
@@ -43,7 +46,7 @@ def to_pyg(batch: MeshBatch) -> Any:
                 fixed=mesh.fixed,
                 constrained_edge_index=mesh.constrained_edges.T.contiguous(),
                 frame=mesh.frames,
-                **({"quad": mesh.quads.T.contiguous()} if len(mesh.quads) else {}),
+                **({"quad_index": mesh.quads.T.contiguous()} if quads else {}),
             )
         )
     return batched.from_data_list(graphs)
@@ -52,9 +55,9 @@ def to_pyg(batch: MeshBatch) -> Any:
 def from_pyg(graphs: Any) -> MeshBatch:
     """The meshes of a `torch_geometric` Data or Batch with `pos` (V, 2 or 3) and `face` (3, T).
 
-    `fixed`, `constrained_edge_index` and `frame` are used if they are there.  A graph that has `fixed` and `frame`, as
-    those of `to_pyg` do, comes back bit for bit, whatever was done to `pos`, even with inverted triangles.  Any other
-    graph goes through `MeshBatch.from_arrays`, which checks and orients it.
+    `fixed`, `constrained_edge_index`, `frame` and `quad_index` are used if they are there.  A graph that has `fixed`
+    and `frame`, as those of `to_pyg` do, comes back bit for bit, whatever was done to `pos`, even with inverted
+    triangles.  Any other graph goes through `MeshBatch.from_arrays`, which checks and orients it.
 
     Raises InvalidMeshError, naming the graph, for anything that is no mesh.
     """
@@ -72,7 +75,7 @@ def _mesh_of(graph: Any, number: int) -> MeshBatch:
         if getattr(graph, name, None) is None:
             raise InvalidMeshError(f"graph {number} has no {name!r}: a mesh needs 'pos' (V, 2) and 'face' (3, T)")
     pos, face = graph.pos, graph.face
-    quads = getattr(graph, "quad", None)
+    quads = getattr(graph, "quad_index", None)
     if face.ndim != 2 or face.shape[0] != 3:
         raise InvalidMeshError(f"graph {number}: face must have shape (3, T), not {tuple(face.shape)}")
     constrained = getattr(graph, "constrained_edge_index", None)
@@ -88,7 +91,7 @@ def _mesh_of(graph: Any, number: int) -> MeshBatch:
     # The graph is one of `to_pyg`.  What from_arrays would check and repair is right, and positions may be anything.
     triangles, count = face.T.contiguous(), len(pos)
     quads = triangles.new_zeros((0, 4)) if quads is None else quads.T.contiguous()
-    for name, rows in (("face", triangles), ("constrained_edge_index", edge), ("quad", quads)):
+    for name, rows in (("face", triangles), ("constrained_edge_index", edge), ("quad_index", quads)):
         if bool(((rows < 0) | (rows >= count)).any()):
             raise InvalidMeshError(f"graph {number}: {name} names vertices that are not there; there are {count}")
 

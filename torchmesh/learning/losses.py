@@ -48,10 +48,11 @@ def inverse_mean_ratio(
            ratio 1/q = 2 det / stretch.  The tangent reaches 2 limit for a flat triangle, and 2 limit + limit^2 for
            the mirror image of an equilateral one
 
-    A triangle of no size counts as flat and has no gradient.  Raises ValueError for power < 1 or limit <= 1.
+    A triangle of no size counts as flat and has no gradient.  Raises ValueError for limit <= 1, and for a power that is
+    no whole number from 1.
     """
-    if power < 1:
-        raise ValueError(f"power must be at least 1, not {power}")
+    if power < 1 or power != int(power):
+        raise ValueError(f"power must be a whole number from 1, not {power}")
     if not limit > 1:
         raise ValueError(f"limit must be above 1, the ideal, not {limit}")
     stretch, det = _invariants(points, mesh, equilateral(mean_side(mesh).to(points)))

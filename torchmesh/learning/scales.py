@@ -37,7 +37,7 @@ def own_targets(mesh: MeshBatch) -> Tensor:
 
 
 def local_sides(mesh: MeshBatch) -> Tensor:
-    """(T,) float64 the local edge length of the mesh at each triangle."""
+    """(T,) float64 the local edge length of the mesh at each triangle; `mean_side` where no area is enclosed."""
     return _local_sides(_tensors(mesh))
 
 
@@ -104,7 +104,8 @@ def _own_targets(mesh: list[Tensor]) -> Tensor:
 @_remembered
 def _local_sides(mesh: list[Tensor]) -> Tensor:
     batch = _mesh(mesh)
-    return local_size(batch)[batch.triangles].mean(1)
+    sides = local_size(batch)[batch.triangles].mean(1)
+    return torch.where(sides > 0, sides, mean_side(batch))
 
 
 def _one_per_triangle(mesh: list[Tensor]) -> Tensor:

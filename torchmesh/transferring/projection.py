@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import ConvergenceError
+from ..errors import ConvergenceError, InvalidMeshError
 from ..kernels import projection
 from ..kernels.library import library
-from ..mesh.ragged import segment_ids, take
+from ..mesh.ragged import owner_of, segment_ids, take, true_rows
 from ..optimising.conjugate_gradients import solve
 from .overlaps import Overlaps, signed_areas
 from .pairs import Side
@@ -73,15 +73,24 @@ class MassMatrix:
         )
 
     def unknowns(self, right: Tensor) -> Tensor:
-        """(V, C) the solution for each column of `right` (V, C); raises ConvergenceError."""
+        """(V, C) the solution for each column of `right` (V, C).
+
+        Raises InvalidMeshError for a right-hand side that is not finite, and ConvergenceError.
+        """
+        bad = true_rows(~right.isfinite().all(1))
+        if len(bad):
+            b = int(owner_of(bad[:1], self.offsets))
+            raise InvalidMeshError(
+                f"mesh {b}: its values are not all finite, and a projection spreads each over the mesh"
+            )
         columns = []
         for column in right.unbind(1):
             found = solve(self, column.contiguous(), self.offsets, tolerance=_TOLERANCE, max_iterations=500)
             rest = (column - self @ found.x).abs()
             scale = torch.zeros(len(self.offsets) - 1, dtype=rest.dtype)
             scale = scale.scatter_reduce(0, segment_ids(self.offsets), column.abs(), "amax")
-            if bool((rest > 1e-11 * scale[segment_ids(self.offsets)]).any()):
-                raise ConvergenceError("the projection did not converge: are all values finite?")
+            if not bool((rest <= 1e-11 * scale[segment_ids(self.offsets)]).all()):
+                raise ConvergenceError("the projection did not converge")
             columns.append(found.x)
         return torch.stack(columns, 1) if columns else right
 

@@ -1,5 +1,6 @@
 """A linear map from the values of one mesh to those of another, as a sparse matrix row by row."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -93,7 +94,7 @@ class SparseRows:
                 raise InvalidMeshError(f"values are {values.dtype}: only method 'nearest' copies them, or use floats")
             return put_rows(values.new_zeros((self.shape[0], *values.shape[1:])), rows, values[columns])
         exact = torch.promote_types(values.dtype, torch.float64)
-        flat = values.reshape(len(values), -1)
+        flat = values.reshape(len(values), math.prod(values.shape[1:]))
         several = ~alone
         parts = take(flat, columns[several]).to(exact) * weights[several, None]
         out = torch.zeros((self.shape[0], flat.shape[1]), dtype=exact, device=values.device)
@@ -113,8 +114,9 @@ class SparseRows:
             return out
         low, high = self.range_of(given)
         inside = torch.minimum(torch.maximum(out.detach(), low), high)
-        # The difference is a constant, so that gradients stay those of the sum.
-        return out + torch.where(mean[:, None], inside - out.detach(), 0.0)
+        # The difference is a constant, so that gradients stay those of the sum.  Of two infinite values it is NaN.
+        beyond = mean[:, None] & (inside != out.detach())
+        return out + torch.where(beyond, inside - out.detach(), 0.0)
 
     def range_of(self, values: Tensor) -> tuple[Tensor, Tensor]:
         """(N, C) the least and the greatest of the values (M, C) that each row takes from; infinite without any."""

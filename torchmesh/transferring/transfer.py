@@ -6,6 +6,7 @@ conservative     L2 projection: the integral is kept          the same
 nearest          of the nearest vertex                        of the triangle round the centroid
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, overload
 
@@ -91,7 +92,7 @@ class Transfer:
         else:
             if not values.is_floating_point():
                 raise InvalidMeshError(f"values are {values.dtype}: only floats can be projected")
-            right = (self.rows @ values.to(torch.float64)).reshape(self.rows.shape[0], -1)
+            right = (self.rows @ values.to(torch.float64)).reshape(self.rows.shape[0], math.prod(values.shape[1:]))
             # The matrix is symmetric: its inverse transposed is its inverse.
             out = LinearMap(self.mass.unknowns, self.mass.unknowns)(right).to(values.dtype)
             out = out.reshape(self.rows.shape[0], *values.shape[1:])
@@ -150,8 +151,8 @@ def transfer(
 
     Returns (V', ...) or (T' + Q', ...) in the dtype and on the device of `values`, differentiable in them.
 
-    Raises InvalidMeshError for batches of different sizes, values of another length, or points that are not finite;
-    ValueError for an unknown `where` or `method`.
+    Raises InvalidMeshError for batches of different sizes, values of another length, points that are not finite, or
+    values at points that are not, with "conservative"; ValueError for an unknown `where` or `method`.
     """
     mixed = where == "triangles" and (has_quads(before) or has_quads(after))
     made = prepared(halved(before), halved(after), where, method)
@@ -272,7 +273,8 @@ def _triangles(old: Side, new: Side, unmoved: np.ndarray) -> Transfer:
     kept = np.flatnonzero(same >= 0)
     shared = overlaps(old, new, same < 0)
     weight = shared.area * np.where(areas[shared.before] < 0, -1.0, 1.0)
-    total = np.bincount(shared.after, weight, len(sizes))
+    # Where no pair is left to be looked at, numpy counts in integers.
+    total = np.bincount(shared.after, weight, len(sizes)).astype(float)
     total[kept] = sizes[kept]
     slack = _slack(new, sizes)
     partly = total < sizes - slack
