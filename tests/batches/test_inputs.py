@@ -1,6 +1,7 @@
 """Which files a run improves, and where their results go."""
 
 import glob
+import os
 import shutil
 from pathlib import Path
 
@@ -118,3 +119,15 @@ def test_files_that_belong_to_another_one_are_no_inputs(tmp_path):
     (folder / "c.vtm").write_text('<VTKFile><DataSet index="0" file="parts/left.vtu"/></VTKFile>')
     wanted = ["a.1.node", "alone.ele", "b.xdmf", "c.vtm", "parts/free.vtu"]
     assert result_names(folder, tmp_path / "out") == wanted
+
+
+def test_links_that_lead_nowhere_are_errors_and_pipes_are_skipped(inputs, tmp_path, inline):
+    (inputs / "broken.vtu").symlink_to("nowhere")
+    (inputs / "broken.txt").symlink_to("nowhere")
+    os.mkfifo(inputs / "pipe.vtu")
+    run = Run.plan(inputs, tmp_path / "out")
+    assert run.skipped == [str(inputs / "broken.txt"), str(inputs / "pipe.vtu")]
+    (result,) = (one for one in run.results() if one.name == "broken.vtu")
+    assert result.error == f"{inputs / 'broken.vtu'}: there is no such file"
+    assert result_names(f"{inputs}/*.vtu", tmp_path / "other") == ["broken.vtu"]
+    assert result_names(f"{inputs}/**/br*.vtu", tmp_path / "other") == ["broken.vtu"]

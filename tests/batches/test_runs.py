@@ -158,6 +158,7 @@ def test_settings_tell_options_apart():
     assert "method='paper'" in settings(ImproveOptions.paper())
     assert settings(ImproveOptions.paper(beta=0.01)) != settings(ImproveOptions.paper(beta=0.02))
     assert settings(ImproveOptions(smooth_rounds=3)) == f"{plain}, smooth_rounds=3"
+    assert settings(ImproveOptions.fast(quads="split")) == f"{plain}, method='fast', quads='split'"
 
 
 def test_an_error_is_tried_again_and_a_mended_file_done(inputs, tmp_path, inline):

@@ -65,6 +65,10 @@ BAD = {
     "no such field": ([*WARP, "--displacement", "w"], "it has 'displacement', 'u'"),
     "a field of numbers": ([*WARP, "--displacement", "u"], "not a vector"),
     "warp of a tangled mesh": (["warp", "tangled.vtu", "out.vtu", "--move", "hole:1:1,0"], "tangled.vtu: mesh 0"),
+    "output a folder, improve": ([*TO, "."], ".: is a directory"),
+    "output a folder, warp": (["warp", "plate.vtu", ".", "--move", "hole:1:1,0"], ".: is a directory"),
+    "output a folder, clean": (["clean", "plate.vtu", "."], ".: is a directory"),
+    "output a folder, the root": (["clean", "plate.vtu", "/"], "/: is a directory"),
     "reproduce into a file": (["reproduce", "--out", "unknown.foo"], "unknown.foo: cannot be made a directory"),
 }
 

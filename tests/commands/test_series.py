@@ -10,6 +10,7 @@ import pytest
 from command_line import inverted, is_one_clear_line
 
 from torchmesh import read, read_series, write
+from torchmesh.commands.batch import Tally
 
 
 @pytest.fixture(params=["run.xdmf", "run.pvd"])
@@ -98,6 +99,19 @@ def test_every_step_is_warped_by_its_own_displacement(call, folder):
         assert by[:, 1].tolist() == pytest.approx([0.01 * step] * len(by))
     assert call("warp", "rest.xdmf", "out.xdmf", "--move", "hole:1:0.001,0", "--steps", "auto").status == 0
     assert len(read_series(folder / "out.xdmf").batch) == 1
+
+
+def test_batch_says_how_many_are_errors(call, folder, inline):
+    (folder / "some").mkdir()
+    (folder / "some" / "b.vtu").write_text("no mesh")
+    assert "\nerrors: 1 of 1 file: results/manifest.jsonl\n" in call("batch", "some", "--out", "results").err
+    write(folder / "some" / "a.vtu", meshes.moved_hole())
+    assert "\nerrors: 1 of 2 files: results/manifest.jsonl\n" in call("batch", "some", "--out", "results").err
+    tally = Tally(3, 0, 3)
+    tally.tangled, tally.errors = 1, 1
+    assert tally.verdict() == "not valid: 1 of 3 meshes still has inverted elements, 1 is an error"
+    tally.tangled, tally.errors = 2, 0
+    assert tally.verdict() == "not valid: 2 of 3 meshes still have inverted elements"
 
 
 def test_batch_names_what_it_skipped(call, folder, inline):

@@ -245,7 +245,8 @@ def _failed(job: Job, facts: dict, error: Exception, seconds: float, staged: str
         text = f"{type(error).__name__}: {text}"
     if staged:
         text = text.replace(staged, job.output)
-    if job.file not in text and job.output not in text:
+    # A reader names the file without a "./" before it.
+    if job.file not in text and job.output not in text and not text.startswith(f"{Path(job.file)}: "):
         text = f"{job.file}: {text}"
     kept = {key: value for key, value in facts.items() if not key.endswith("_after")}
     return FileResult(name=job.name, file=job.file, error=text, seconds=seconds, **kept)

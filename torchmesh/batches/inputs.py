@@ -84,7 +84,7 @@ def _matches(path: str, results: str) -> tuple[str, list[str]]:
         root = os.path.dirname(root)
     parts = path.split(os.sep)
     if "**" not in parts:
-        return root, [f for f in glob.glob(path) if os.path.isfile(f)]
+        return root, [f for f in glob.glob(path) if _is_given(f)]
     first = parts.index("**")
     before, pattern = os.sep.join([*parts[:first], ""]), parts[first:]
     pattern += ["*"] if pattern[-1] == "**" else []
@@ -96,7 +96,7 @@ def _matches(path: str, results: str) -> tuple[str, list[str]]:
         for file in files_below(folder, results)
         if _fits(file.split(os.sep), pattern)
     ]
-    return root, [f for f in found if os.path.isfile(f)]
+    return root, [f for f in found if _is_given(f)]
 
 
 def skipped_files(paths: Paths, out: Path) -> list[str]:
@@ -108,14 +108,13 @@ def skipped_files(paths: Paths, out: Path) -> list[str]:
 
 
 def _sorted_out(folder: str, results: str) -> tuple[list[str], list[str]]:
-    """The mesh files below a folder, and the other files.
+    """The mesh files below a folder, with links to such that are gone, and the other files.
 
     The steps of a collection (.pvd), the blocks of a list (.vtm), the data of an XDMF file, and the elements and the
     segments beside nodes (.node) are part of these, and stand in neither list.
     """
     known = {*known_extensions(), PVD}
     found = [os.path.join(folder, file) for file in files_below(folder, results)]
-    found = [file for file in found if os.path.isfile(file)]
     parts: set[str] = set()
     for file in found:
         if is_pvd(Path(file)):
@@ -129,8 +128,13 @@ def _sorted_out(folder: str, results: str) -> tuple[list[str], list[str]]:
         elif file.lower().endswith(".vtm"):
             parts.update(os.path.abspath(part) for part in parts_of(Path(file)))
     found = [file for file in found if os.path.abspath(file) not in parts]
-    meshes = [file for file in found if os.path.splitext(file)[1].lower() in known]
-    return meshes, [file for file in found if os.path.splitext(file)[1].lower() not in known]
+    meshes = [file for file in found if os.path.splitext(file)[1].lower() in known and _is_given(file)]
+    return meshes, sorted({*found} - {*meshes})
+
+
+def _is_given(file: str) -> bool:
+    """Is this a file, or a link to one that is gone, which is to be told?  Devices and pipes are none."""
+    return os.path.isfile(file) or (os.path.islink(file) and not os.path.exists(file))
 
 
 def files_below(folder: str, results: str = "") -> list[str]:

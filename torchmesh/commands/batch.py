@@ -65,7 +65,8 @@ def batch(
         list[str],
         typer.Argument(
             metavar="IN...",
-            help="Mesh files, folders (every mesh file below them) or patterns in quotes, ** for any folders.",
+            help="Mesh files, folders (every mesh file below them that is not hidden) or patterns in quotes, ** for "
+            "any folders.",
             show_default=False,
         ),
     ],
@@ -109,8 +110,8 @@ def batch(
 ) -> int:
     """Improve many mesh files, as torchmesh improve does, on all processors.
 
-    Files in a folder that are of no mesh format are skipped, and named. Of a time series (XDMF, .pvd) every step is
-    improved.
+    Files in a folder that are of no mesh format are skipped, and named. Hidden files and folders (names that begin with
+    a dot) are left out. A link that leads nowhere is an error. Of a time series (XDMF, .pvd) every step is improved.
 
     DIR/manifest.jsonl gets a line for each mesh as soon as it is done: file, output, status, inverted triangles and
     IMR before and after, what became of its fields, seconds, error; DIR/manifest.parquet is the same table, written at
@@ -158,10 +159,7 @@ def _run(run: "Run", quiet: bool) -> int:
     if tally.failed:
         hidden = tally.failed - _SHOWN
         more = f"; {hidden:,} more in the manifest" if hidden > 0 else ""
-        console.say(
-            f"not valid: {tally.tangled:,} of {tally.total:,} meshes still have inverted elements, "
-            f"{tally.errors:,} are errors: {run.out / 'manifest.jsonl'}{more}"
-        )
+        console.say(f"{tally.verdict()}: {run.out / 'manifest.jsonl'}{more}")
     return 2 if tally.refused else int(tally.failed > 0)
 
 
@@ -193,6 +191,15 @@ class Tally:
     def failed(self) -> int:
         """Meshes that are errors or still have inverted triangles."""
         return self.tangled + self.errors
+
+    def verdict(self) -> str:
+        """'not valid: 1 of 12 meshes still has inverted elements, 2 are errors', or 'errors: 1 of 1 file'"""
+        verb = "is an error" if self.errors == 1 else "are errors"
+        if not self.tangled:
+            return f"errors: {self.errors:,} of {console.counted(self.total, 'file')}"
+        have = "has" if self.tangled == 1 else "have"
+        told = f"{self.tangled:,} of {console.counted(self.total, 'mesh', 'meshes')} still {have} inverted elements"
+        return f"not valid: {told}" + (f", {self.errors:,} {verb}" if self.errors else "")
 
     def counts(self) -> dict[str, int]:
         """The rows of the table at the end of a run."""

@@ -31,10 +31,11 @@ def target_of(source: Path, target: Path | None, in_place: bool) -> Path:
 
 def check_mesh_target(target: Path) -> None:
     """Raises MeshIOError unless a mesh file of this name can be written."""
-    from ..files.atomic import check_target
+    from ..files.atomic import check_target, real_target
     from ..files.formats.registry import format_of
     from ..files.pvd import is_pvd
 
+    real_target(target)
     if not is_pvd(target):
         format_of(target)
     check_target(target)

@@ -16,6 +16,7 @@ from ..errors import MeshError, MeshIOError, MeshWarning, MissingDependencyError
 # Remarks of meshio that are of no interest, or about what was done on purpose.
 _NOISE = re.compile(
     r"only meant for debugging|64-bit integers|legacy format|Experimental file|converting to|Converting them to|^\s*$"
+    r"|Discarding \.$"
 )
 
 _PACKAGE = str(Path(__file__).parents[1])

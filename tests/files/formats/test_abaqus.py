@@ -4,11 +4,15 @@ import json
 import re
 import warnings
 
+import meshio
+import numpy as np
 import pytest
 from decks import POINTS, TRIANGLES, changed_lines, flip_and_move, stale
 
 import torchmesh as tm
 from torchmesh.commands.main import main
+from torchmesh.files.documents import load
+from torchmesh.files.drafts import Draft
 from torchmesh.files.formats.abaqus import ABAQUS
 from torchmesh.files.formats.abaqus_cards import element_kind
 from torchmesh.files.source import Source
@@ -243,3 +247,14 @@ def test_strict_refuses_values_at_nodes_that_would_move(tmp_path, capsys):
     assert lost == ["values of *TEMPERATURE at 1 node that moved"]
     # Values that are to ride with their nodes are right as they stand.
     assert main(["improve", str(source), str(target), "-q", "--strict", "--fields", "carry"]) == 0
+
+
+@pytest.mark.parametrize(("tilt", "kinds"), [(0, ["CPS3", "CPS4", "T2D2"]), (1, ["S3", "S4", "T3D2"])])
+def test_a_new_deck_has_plane_elements_or_shells(tmp_path, tilt, kinds):
+    points = np.array([[0, 0, 0], [1, 0, tilt], [1, 1, tilt], [0, 1, 0], [2, 0, 2 * tilt]])
+    cells = [("triangle", np.array([[1, 4, 2]])), ("quad", np.array([[0, 1, 2, 3]])), ("line", np.array([[0, 1]]))]
+    before = dict(meshio.abaqus._abaqus.meshio_to_abaqus_type)
+    Draft.of(tmp_path / "a.inp", meshio.Mesh(points, cells)).save()
+    assert re.findall(r"TYPE=(\w+)", (tmp_path / "a.inp").read_text()) == kinds
+    assert before == meshio.abaqus._abaqus.meshio_to_abaqus_type
+    assert [block.type for block in load(tmp_path / "a.inp").mesh.cells] == ["triangle", "quad", "line"]

@@ -35,6 +35,11 @@ _INITIAL = {
 
 _FACE = re.compile(r"(EDLD|EDNOR|EDTRA|EDSHR|EDMOM|[PSFRE])(\d)([A-Z]*)", re.IGNORECASE)
 
+# The types of elements in a new deck: plane stress and plane trusses, or where z is not the same everywhere, shells and
+# trusses in space.
+_PLANE = {"triangle": "CPS3", "triangle6": "CPS6", "quad": "CPS4", "quad8": "CPS8", "line": "T2D2", "line3": "T2D3"}
+_IN_SPACE = {"triangle": "S3", "triangle6": "STRI65", "quad": "S4", "quad8": "S8R", "line": "T3D2", "line3": "T3D3"}
+
 # CalculiX reads twenty characters of a number.
 _WIDTH = 20
 
@@ -52,6 +57,18 @@ class AbaqusFormat(DeckFormat):
             mesh, self.name, rest=deck, sides=reader.sides, by_element=by_element, at_nodes=at_nodes,
             node_numbers=reader.labels, cell_numbers=reader.numbers(),
         )  # fmt: skip
+
+    def write(self, path: Path, mesh: meshio.Mesh, like: Document | None, same_rows: bool) -> None:
+        flat = mesh.points.shape[1] == 2 or bool((mesh.points[:, 2:] == mesh.points[:1, 2:]).all())
+        # meshio itself takes the last type that it knows of each kind: rigid triangles, and beams with hybrid forces.
+        table: dict[str, str] = meshio.abaqus._abaqus.meshio_to_abaqus_type
+        was = dict(table)
+        table.update(_PLANE if flat else _IN_SPACE)
+        try:
+            super().write(path, mesh, like, same_rows)
+        finally:
+            table.clear()
+            table.update(was)
 
     def number(self, value: float, width: int) -> str:
         digits = (f"{value:.{n}g}" for n in range(16, 0, -1))

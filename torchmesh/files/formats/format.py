@@ -267,7 +267,7 @@ class Format(abc.ABC):
         made = meshio.Mesh.copy(mesh)
         made.cells = cells
         vars(made).update({name: value for name, value in vars(mesh).items() if name not in vars(made)})
-        return made, lost
+        return _without_middles(mesh, made), lost
 
     def _fit_cell_data(self, mesh: meshio.Mesh, kept: list[int], lost: set[str]) -> dict[str, list[np.ndarray]]:
         """The cell data of the blocks `kept`; adds to `lost`."""
@@ -289,3 +289,19 @@ class Format(abc.ABC):
 
         lost |= {f"point data {name!r}" for name, values in mesh.point_data.items() if not held(name, values)}
         return {name: values for name, values in mesh.point_data.items() if held(name, values)}
+
+
+def _without_middles(mesh: meshio.Mesh, made: meshio.Mesh) -> meshio.Mesh:
+    """`made` without those nodes of the cells of `mesh` that are in no cell of its own."""
+    gone, row = np.zeros(len(mesh.points), bool), np.zeros(len(mesh.points), np.int64)
+    for block in mesh.cells:
+        gone[np.asarray(block.data)] = True
+    for block in made.cells:
+        gone[np.asarray(block.data)] = False
+    row[~gone] = np.arange(int((~gone).sum()))
+    made.points = made.points[~gone]
+    made.point_data = {name: values[~gone] for name, values in made.point_data.items()}
+    made.cells = [meshio.CellBlock(block.type, row[block.data]) for block in made.cells]
+    sets = {name: np.asarray(rows, np.int64) for name, rows in made.point_sets.items()}
+    made.point_sets = {name: row[rows[~gone[rows]]] for name, rows in sets.items()}
+    return made

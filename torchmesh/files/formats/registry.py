@@ -128,7 +128,7 @@ def _formats_of(path: Path) -> list[Format]:
         known = known_extensions()
         near = difflib.get_close_matches(suffix, known, 1, 0.7)
         hint = _HINTS.get(suffix, f"the nearest one is {near[0]}" if near else "")
-        beside = next((p.name for p in (path.with_suffix(".xdmf"),) if suffix and "xdmf" in hint and p.is_file()), "")
-        hint = f"{hint} ({beside})" if beside else hint
+        if suffix and "xdmf" in hint and (beside := path.with_suffix(".xdmf")).is_file():
+            hint = f"{hint} ({beside.name})"
         raise MeshIOError(f"{path}: {problem}{': ' if hint else ''}{hint}; known ones are {' '.join(known)}")
     return found
