@@ -5,7 +5,7 @@ import json
 import meshes
 import meshio
 import numpy as np
-from command_line import crossed
+from command_line import crossed, plate
 from layered import round_body
 
 from torchmesh import quality, write
@@ -95,3 +95,19 @@ def test_folded_quads_count_as_inverted_and_the_exit_status_says_it(call, folder
 
 def test_layers_of_quads_are_found(call):
     assert "layer of 2 of quads at wall 'body', first height 0.5" in told(call, "channel.msh")[1]["layers"]
+
+
+def test_a_field_with_nan_has_the_range_of_its_finite_values(call, folder):
+    points, triangles = plate()
+    values = np.arange(len(points), dtype=np.float64)
+    values[[3, 5]] = np.nan, np.inf
+    nothing = np.full(len(points), np.nan)
+    meshio.Mesh(points, [("triangle", triangles)], point_data={"some": values, "none": nothing}).write(
+        folder / "nan.vtu"
+    )
+    rows = [line.split() for line in call("info", "nan.vtu").out.splitlines()]
+    last = str(len(points) - 1)
+    assert ["some", "points", "float64", "1", "0", last, "2"] in rows
+    assert ["none", "points", "float64", "1", str(len(points))] in rows
+    found = json.loads(call("info", "nan.vtu", "--json").out)["fields"]
+    assert [(f["minimum"], f["not_finite"]) for f in found] == [(0.0, 2), (None, len(points))]

@@ -85,3 +85,16 @@ def test_numbers_name_what_has_no_name(tmp_path):
     assert found["line:7"].vertices.tolist() == list(range(6))
     assert found["material:2"].vertices.tolist() == list(range(24))
     assert found["material:2"].triangles == int((inner == 2).sum())
+
+
+def test_quads_without_rows_are_no_layer(tmp_path):
+    """Columns of unstructured quads end anywhere: here each second one is two rows higher."""
+    mesh = ring(6, 5)
+    blocks = {block.type: block.data for block in mesh.cells}
+    row, column = np.divmod(np.arange(len(blocks["quad"])), 12)
+    cut = blocks["quad"][row > 2 * (column % 2)]
+    triangles = np.concatenate([blocks["triangle"], cut[:, [0, 1, 2]], cut[:, [0, 2, 3]]])
+    kept = [("quad", blocks["quad"][row <= 2 * (column % 2)]), ("triangle", triangles)]
+    hole = parts(tmp_path, meshio.Mesh(mesh.points, kept))["hole:1"]
+    assert hole.quads == 12
+    assert len(hole.layer) == 0

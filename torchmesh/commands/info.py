@@ -182,15 +182,19 @@ def _joined(blocks: "list[np.ndarray]") -> "np.ndarray":
 
 
 def _field(where: str, name: str, values: "np.ndarray") -> dict[str, Any]:
-    """The name, shape, type and range of a field."""
-    numbers = values.dtype.kind in "iufb" and values.size > 0
+    """The name, shape, type and range of a field, and how many of its values are NaN or infinite."""
+    import numpy as np
+
+    finite = values[np.isfinite(values)] if values.dtype.kind in "iufb" else values[:0]
+    numbers = finite.size > 0 and values.dtype.kind in "iufb"
     return {
         "where": where,
         "name": name,
         "components": int(values[0].size) if len(values) else 0,
         "type": str(values.dtype),
-        "minimum": float(values.min()) if numbers else None,
-        "maximum": float(values.max()) if numbers else None,
+        "minimum": float(finite.min()) if numbers else None,
+        "maximum": float(finite.max()) if numbers else None,
+        "not_finite": int(values.size - finite.size) if values.dtype.kind in "iufb" else 0,
     }
 
 
@@ -270,11 +274,13 @@ def _print_fields(fields: list[dict[str, Any]]) -> None:
     from rich.text import Text
 
     table = console.table("fields")
-    for name in ("name", "of", "type", "components", "from", "to"):
+    none = ("not finite",) if any(f["not_finite"] for f in fields[:_SHOWN]) else ()
+    for name in ("name", "of", "type", "components", "from", "to", *none):
         table.add_column(name, justify="left" if name in ("name", "of", "type") else "right")
     for f in fields[:_SHOWN]:
         ends = ("" if f[k] is None else f"{f[k]:.6g}" for k in ("minimum", "maximum"))
-        table.add_row(Text(f["name"]), f["where"], f["type"], str(f["components"]), *ends)
+        row = Text(f["name"]), f["where"], f["type"], str(f["components"]), *ends
+        table.add_row(*row, *[f"{f['not_finite']:,}"] * len(none))
     if len(fields) > _SHOWN:
         table.add_row(f"and {len(fields) - _SHOWN} more")
     console.stdout().print(table)

@@ -16,13 +16,16 @@ import torch
 from torch import Tensor
 
 from ..mesh.boundary_parts import boundary_parts
-from ..mesh.connectivity import keys_of
+from ..mesh.connectivity import edge_components, keys_of
 from .content import Content
 from .source import Source
 from .walls import groups, lines_of
 
 # Parts of these kinds are bodies or points, and have no edges of their own.
 LOOP, LINES, CELLS, POINTS = "loop", "lines", "cells", "points"
+
+# A layer of quads has so many columns side by side.
+_SIDE_BY_SIDE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +165,9 @@ class _Cells:
     def _layer(self, keys: Tensor, vertices: Tensor) -> tuple[Tensor, Tensor]:
         """The vertices of the quads that stand on edges, column by column, and what each stands on.
 
-        A column goes on from side to opposite side while there are quads.  It is a layer where it ends at a triangle;
-        quads that go through to another boundary are no layer of this one.
+        A column goes on from side to opposite side while there are quads.  It belongs to a layer where it ends at a
+        triangle, as its neighbours do; quads that go through to another boundary are no layer of this one, and neither
+        are those of a region without rows.
         """
         none = torch.zeros(0, dtype=torch.int64)
         side = torch.isin(self.on[1], keys).nonzero().squeeze(1)
@@ -193,6 +197,30 @@ class _Cells:
             side = 4 * next_quad + (sides == key[:, None]).int().argmax(1)
             column = column[goes_on]
         stood_on, base, of_column = torch.cat(stood), torch.cat(bases), torch.cat(of)
-        kept = ended[of_column] & ~torch.isin(stood_on, vertices)
+        even = _even(foot, ended, of_column.bincount(minlength=len(ended)) // 2)
+        kept = even[of_column] & ~torch.isin(stood_on, vertices)
         layer, first = np.unique(stood_on[kept].numpy(), return_index=True)
         return torch.from_numpy(layer), base[kept][torch.from_numpy(first)]
+
+
+def _even(foot: tuple[Tensor, Tensor], ended: Tensor, rows: Tensor) -> Tensor:
+    """(N,) bool: the columns of a layer, of those that `ended` (N,) bool at triangles after so many `rows` (N,).
+
+    A layer has three columns or more side by side, whose numbers of rows differ by one at most from one to the next.
+    Of unstructured quads a few columns may look like that: where most on the part are none, there is no layer.
+
+    foot  (N,) each, the vertices on the left and the right below each column
+    """
+    count = len(ended)
+    order = foot[0].argsort(stable=True)
+    first = foot[0][order]
+    begin, end = torch.searchsorted(first, foot[1]), torch.searchsorted(first, foot[1], right=True)
+    pairs = [torch.zeros((0, 2), dtype=torch.int64)]
+    for k in range(int((end - begin).max())):
+        one = (begin + k < end).nonzero().squeeze(1)
+        other = order[begin[one] + k]
+        alike = ended[one] & ended[other] & ((rows[one] - rows[other]).abs() <= 1) & (foot[0][one] != foot[1][other])
+        pairs.append(torch.stack([one, other], 1)[alike])
+    label = edge_components(torch.cat(pairs), count)
+    even = ended & (label.bincount(minlength=count)[label] >= _SIDE_BY_SIDE)
+    return even if 2 * int(even.sum()) >= count else torch.zeros_like(even)
