@@ -240,12 +240,8 @@ def settings(
     beside = [*_changes(fields, "interpolate", "fields"), *_changes(regions, None, "regions")]
     beside += _changes(height, "interpolate", "height")
     # The fewest words: what differs from the default, or from one of the named ways.
-    ways = (
-        ([], ImproveOptions()),
-        (["method='fast'"], ImproveOptions.fast()),
-        (["method='paper'"], ImproveOptions.paper()),
-    )
-    told = min(([*name, *_changes(options, way)] for name, way in ways), key=len)
+    ways = {"": ImproveOptions(), "method='fast'": ImproveOptions.fast(), "method='paper'": ImproveOptions.paper()}
+    told = min(([*filter(None, [name]), *_changes(options, way)] for name, way in ways.items()), key=len)
     changes = ", ".join([*told, *beside])
     return f"torchmesh {version('torchmesh-untangle')}" + (f", {changes}" if changes else "")
 
