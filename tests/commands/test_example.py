@@ -29,3 +29,16 @@ def test_the_channel_has_a_body_with_layers_by_name(call, folder):
     given, moved = (meshio.read(folder / name) for name in ("channel.msh", "moved.msh"))
     assert (moved.points != given.points).any()
     assert len(read(folder / "channel.msh").triangles) == 288
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(call, folder, monkeypatch):
+    (folder / "file").write_text("")
+    assert is_one_clear_line(call("example", "file/inside"), "file/inside: no folder can be made: ")
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    (folder / "ro").mkdir()
+    monkeypatch.setattr("tempfile.TemporaryDirectory", refuse)
+    done = call("example", "ro")
+    assert is_one_clear_line(done, "error: ro/undeformed.vtk: cannot be written: Permission denied")

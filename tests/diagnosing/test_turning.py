@@ -79,7 +79,7 @@ def test_everything_out_of_reach_of_a_fault_is_mended(topology):
     tangled = mesh.with_points(points)
     after, report = improve(tangled, tm.ImproveOptions(topology=topology))
     assert report.status.tolist() == [Status.PARTLY]
-    assert "inverted triangles are left" in report.messages[0]
+    assert "1 inverted triangle is left" in report.messages[0]
     left = ~quality(after).upright
     assert 0 < int(left.sum()) <= 3
     assert after.points[after.triangles[left]].mean(1)[:, 1].max() < 0.3

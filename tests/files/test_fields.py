@@ -1,5 +1,6 @@
 """Which data of a file tells regions."""
 
+import meshes
 import meshio
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_a_name_or_none_chooses_what_tells_the_regions(tmp_path):
     assert len(read(path, regions="rank").constrained_edges) == N - 1
     assert len(read(path, regions="whole").constrained_edges) == N - 1
     assert Source.open(path).content.told_by == Regions(("material",), (), ("rank",))
-    for name, why in (("half", "not one whole number"), ("absent", "it has 'rank', 'whole', 'half', 'material'")):
+    for name, why in (("half", "not one whole number"), ("absent", "it has 'rank', 'whole', 'material'")):
         with pytest.raises(InvalidMeshError, match=why):
             read(path, regions=name)
     path = save(tmp_path / "b.vtu", grid())
@@ -89,3 +90,10 @@ def test_a_region_tag_in_a_column_of_its_own_is_a_region_tag(tmp_path):
     path = tmp_path / "tags.vtu"
     meshio.Mesh(np.c_[points, np.zeros(6)], [("triangle", cells)], cell_data={"CellEntityIds": [tags]}).write(path)
     assert {frozenset(edge) for edge in read(path).constrained_edges.tolist()} == {frozenset((1, 2))}
+
+
+def test_only_data_that_can_tell_regions_is_offered():
+    points, triangles = meshes.grid_arrays(2, 2)
+    data = {"perm": [np.linspace(0, 1, len(triangles))], "rock": [np.arange(len(triangles)) % 2]}
+    with pytest.raises(ValueError, match=r"to tell regions; it has 'rock'$"):
+        Regions.of(meshio.Mesh(points, [("triangle", triangles)], cell_data=data), "foo")

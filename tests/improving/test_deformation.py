@@ -413,3 +413,8 @@ def test_positions_that_are_not_finite_stop_their_mesh_alone(where, value):
         assert report.status[b] == own_report.status[0]
         assert report.messages[b] == own_report.messages[0]
         assert report.path[b] == own_report.path[0]
+
+
+def test_one_step_is_no_steps():
+    mesh = meshes.equilateral()
+    assert deform(mesh, mesh.points + 1)[1].messages == ["arrived in 1 step"]

@@ -6,6 +6,7 @@ import torch
 from exact import inverted
 
 from torchmesh import ImproveOptions, InvalidMeshError, MeshBatch, improve, join, quality
+from torchmesh.improving.report import triangles_left
 
 
 def collapsed(mesh: MeshBatch) -> MeshBatch:
@@ -97,3 +98,8 @@ def test_a_reference_of_other_triangles_is_refused():
         improve(meshes.jittered(), ImproveOptions(reference=meshes.grid(3, 3)))
     with pytest.raises(InvalidMeshError, match="inverted in the reference"):
         improve(meshes.jittered(), ImproveOptions(reference=meshes.jittered()))
+
+
+def test_one_triangle_is_left_and_several_are():
+    assert triangles_left(1) == "1 inverted triangle is left"
+    assert triangles_left(2) == "2 inverted triangles are left"

@@ -30,13 +30,20 @@ def example(
 
     It prints what each is, and what to run first. Files that are there already are not replaced, unless with --force.
     """
+    from ..errors import MeshIOError
+    from ..files.atomic import check_target
+
     use_threads(1)
     existing = [folder / name for name in FILES if (folder / name).exists()]
     if existing and not force:
         raise UsageError(f"{existing[0]} is there already; --force replaces it, and another DIR leaves it alone")
     for name, (make, _) in FILES.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        make(folder / name)
+        path = folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise MeshIOError(f"{path.parent}: no folder can be made: {error.strerror or error}") from None
+        make(check_target(path))
     if not quiet:
         table = console.table()
         table.add_column("file")

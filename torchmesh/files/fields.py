@@ -91,13 +91,13 @@ class Regions:
         if choice == "none":
             return cls(others=(*taken, *others))
         if choice in mesh.cell_data:
-            values = on_elements(mesh, mesh.cell_data[choice])
-            if values.ndim != 1 or values.dtype.kind not in "iubf" or (values != np.round(values)).any():
+            if not _is_whole(on_elements(mesh, mesh.cell_data[choice])):
                 raise ValueError(f"cell data {choice!r} tells no regions: it is not one whole number for each cell")
             return cls((choice,), others=tuple(name for name in (*taken, *others) if name != choice))
         if choice in mesh.cell_sets:
             return cls(sets=(choice,), others=(*taken, *others))
-        known = [*mesh.cell_data, *mesh.cell_sets]
+        whole = [name for name, blocks in mesh.cell_data.items() if _is_whole(on_elements(mesh, blocks))]
+        known = [*whole, *mesh.cell_sets]
         raise ValueError(
             f"there is no cell data or cell set {choice!r} to tell regions; "
             + (f"it has {', '.join(map(repr, known))}" if known else "it has none")
@@ -158,3 +158,8 @@ def triangle_regions(mesh: meshio.Mesh, triangle: np.ndarray, count: int, told: 
     total = np.zeros(count, np.uint64)
     np.add.at(total, triangle, words[code])
     return np.unique(total, return_inverse=True)[1].reshape(-1)
+
+
+def _is_whole(values: np.ndarray) -> bool:
+    """Is there one whole number for each cell?"""
+    return values.ndim == 1 and values.dtype.kind in "iubf" and bool((values == np.round(values)).all())

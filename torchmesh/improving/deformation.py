@@ -392,7 +392,7 @@ def _trails(motion: Motion, given: MeshBatch, after: MeshBatch) -> list[list[Pie
 
 def _explained(motion: Motion, stuck: Tensor, goal: MeshBatch) -> tuple[Tensor, list[str]]:
     """The status of each mesh (B,), with INFEASIBLE where no valid mesh exists at the goal, and why it ended."""
-    status, messages = motion.status.clone(), [f"arrived in {n} steps" for n in motion.steps.tolist()]
+    status, messages = motion.status.clone(), [f"arrived in {_steps(n)}" for n in motion.steps.tolist()]
     meshes = true_rows(stuck).tolist()
     if not meshes:
         return status, messages
@@ -402,7 +402,7 @@ def _explained(motion: Motion, stuck: Tensor, goal: MeshBatch) -> tuple[Tensor, 
     for b in meshes:
         done = f"{100 * float(motion.reached[b]):.4g} percent of the motion"
         if int(status[b]) == Status.ITERATION_LIMIT:
-            messages[b] = f"stopped after {int(motion.steps[b])} steps, {done}; raise max_steps to go on"
+            messages[b] = f"stopped after {_steps(int(motion.steps[b]))}, {done}; raise max_steps to go on"
         else:
             x, y = motion.blocked[b].tolist()
             messages[b] = f"stuck after {done} near ({x:.6g}, {y:.6g}): no step keeps every triangle upright"
@@ -410,3 +410,8 @@ def _explained(motion: Motion, stuck: Tensor, goal: MeshBatch) -> tuple[Tensor, 
             status[b] = Status.INFEASIBLE
             messages[b] += f"; at the goal no valid mesh exists: {found[b]}"
     return status, messages
+
+
+def _steps(count: int) -> str:
+    """'1 step', '3 steps'"""
+    return f"{count} step{'' if count == 1 else 's'}"

@@ -154,6 +154,7 @@ def _messages(given: MeshBatch, report: Report, chosen: Tensor, options: Improve
     left = chosen.new_zeros(len(chosen))
     left[~chosen] = ~report.quality.quad_upright
     messages = [m.replace("inverted triangles are left", "inverted elements are left") for m in report.messages]
+    messages = [m.replace("inverted triangle is left", "inverted element is left") for m in messages]
     for b, (first, end) in enumerate(itertools.pairwise(given.quad_offsets.tolist())):
         verbs = ("became two triangles each", "became two triangles each"), ("is inverted still", "are inverted still")
         for rows, (one, many) in zip((chosen[first:end], left[first:end]), verbs, strict=True):

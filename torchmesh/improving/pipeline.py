@@ -31,7 +31,7 @@ from .layers import keeping_layers
 from .local_repair import on_submeshes
 from .needed import where_needed
 from .options import ImproveOptions
-from .report import Progress, Report, left_over
+from .report import Progress, Report, left_over, triangles_left
 from .runner import Job, Log
 from .state import State
 from .strategies import improve_batch
@@ -250,7 +250,7 @@ def _message(b: int, state: State, log: Log, options: ImproveOptions) -> str:
     if status in (Status.INFEASIBLE, Status.NOT_FINITE):
         text = fault
     elif status == Status.PARTLY:
-        text = f"{text}: {log.steps[b][-1].inverted} inverted triangles are left; {fault}"
+        text = f"{text}: {triangles_left(log.steps[b][-1].inverted)}; {fault}"
     elif status == Status.FAILED:
         text = "; ".join(f"the stage {name} failed: {error}" for name, error in state.failures[b])
         text = left_over(text, log.steps[b], not options.may_flip) if log.steps[b][-1].inverted else text

@@ -199,10 +199,15 @@ class Progress:
     energy: float | None = None
 
 
+def triangles_left(count: int) -> str:
+    """'1 inverted triangle is left', '3 inverted triangles are left'"""
+    return f"{count} inverted triangle is left" if count == 1 else f"{count} inverted triangles are left"
+
+
 def left_over(why: str, steps: list[Step], keep: bool) -> str:
     """The message of a mesh that ended tangled: why, what is left, what was tried, and if triangles stay, a hint."""
     tried = dict.fromkeys(step.stage for step in steps[1:])
-    text = f"{why}; {steps[-1].inverted} inverted triangles are left after {', '.join(tried)}"
+    text = f"{why}; {triangles_left(steps[-1].inverted)} after {', '.join(tried)}"
     hint = ": these triangles may have no valid places"
     if "newton" in tried:
         hint += " (neither such places nor a proof that there are none were found)"
