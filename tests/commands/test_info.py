@@ -111,3 +111,16 @@ def test_a_field_with_nan_has_the_range_of_its_finite_values(call, folder):
     assert ["none", "points", "float64", "1", str(len(points))] in rows
     found = json.loads(call("info", "nan.vtu", "--json").out)["fields"]
     assert [(f["minimum"], f["not_finite"]) for f in found] == [(0.0, 2), (None, len(points))]
+
+
+def test_data_that_tells_triangles_from_quads_only_is_named(call, folder):
+    """It is no border of regions, as blocks of one type of cells are none."""
+    mesh = meshes.mixed(6, 5, 3)
+    cells = [("triangle", mesh.triangles.numpy()), ("quad", mesh.quads.numpy())]
+    for name, values, said in (("kinds", (1, 2), "differs between triangles and quads only"), ("same", (1, 1), "")):
+        data = {"material": [np.full(len(block), v) for (_, block), v in zip(cells, values, strict=True)]}
+        meshio.Mesh(np.pad(mesh.points.numpy(), ((0, 0), (0, 1))), cells, cell_data=data).write(folder / f"{name}.vtu")
+        for done in (call("info", f"{name}.vtu"), call("improve", f"{name}.vtu", "out.vtu")):
+            lines = [line for line in done.out.splitlines() if line.startswith("regions: 1")]
+            assert (f"'material' {said}" in "".join(lines)) or not said
+            assert said or not lines or "differs" not in lines[0]

@@ -11,7 +11,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -288,6 +288,14 @@ def print_comparison(title: str, columns: dict[str, dict[str, Any]]) -> None:
         if key == "inverted" and any(CURVED in record for record in columns.values()):
             made.add_row("minimum scaled Jacobian", *(number(r[CURVED]) for r in columns.values()))
     stdout().print(made)
+
+
+def told_alone(names: "Sequence[str]") -> str:
+    """Says that cell data of these names tells triangles from quads, and what comes of it."""
+    data = " and ".join(map(repr, names))
+    return (
+        f"{data} differ{'s' * (len(names) == 1)} between triangles and quads only, and vertices between them may move"
+    )
 
 
 def print_fields(summary: "FieldSummary") -> None:

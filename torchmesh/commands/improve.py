@@ -321,18 +321,21 @@ def _told_by(source: "Source") -> dict[str, Any]:
     return {
         "cell_data": list(content.told_by.data),
         "cell_sets": list(content.told_by.sets),
-        "regions": int(content.region.max(initial=0)) + 1,
+        "regions": content.region_count,
         "passed_over": list(content.told_by.others),
     }
 
 
 def _print_told_by(source: "Source") -> None:
     """Says which cell data or sets were taken for regions, and which might have been."""
-    told, count = source.content.told_by, int(source.content.region.max(initial=0)) + 1
+    content = source.content
+    told, count, alone = content.told_by, content.region_count, content.kinds_alone
     parts = [f"{console.counted(count, 'region')} by {told}"] if str(told) else []
     if told.others:
         parts.append(f"no regions by cell data {', '.join(map(repr, told.others))} (--regions NAME takes it)")
-    if parts and (count > 1 or told.others):
+    if alone:
+        parts.append(console.told_alone(alone))
+    if parts and (count > 1 or told.others or alone):
         console.stdout().print(f"regions: {'; '.join(parts)}", soft_wrap=True)
 
 

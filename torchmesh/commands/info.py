@@ -93,7 +93,8 @@ def _record(given: "Series") -> dict[str, Any]:
         "inverted": figures["inverted"] + figures.get("inverted_quads", 0),
         **{key: figures[key] for key in ("imr_average", "imr_maximum")},
         "regions": {
-            "count": _regions(source),
+            "count": content.region_count,
+            "kinds_alone": list(content.kinds_alone),
             "told_by": str(content.told_by) or None,
             "not_taken": list(content.told_by.others),
             "constrained_edges": len(mesh.constrained_edges),
@@ -110,19 +111,6 @@ def _of_part(part: Any, points: Any) -> dict[str, Any]:
     length = {"length": part.length(points)} if len(part.edges) else {}
     on_it = {"triangles": part.triangles, "quads": part.quads}
     return {"name": part.name, "kind": part.kind, "vertices": len(part.vertices), **length, **on_it}
-
-
-def _regions(source: "Source") -> int:
-    """In how many regions the triangles and quads lie."""
-    import numpy as np
-
-    from ..files.quads import regions_of_all
-
-    content = source.content
-    if not len(content.quads):
-        return int(content.region.max()) + 1
-    code = regions_of_all(content.mesh, content.first, content.quad_first, content.told_by)
-    return len(np.unique(code))
 
 
 def _layers_of_quads(points: "Tensor", parts: "list[Part]") -> Iterator[str]:
@@ -247,7 +235,8 @@ def _lines(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
         edges = (
             f", {console.counted(told['constrained_edges'], 'constrained edge')}" if told["constrained_edges"] else ""
         )
-        yield "regions", f"{told['count']}{by}{edges}"
+        alone = f"; {console.told_alone(told['kinds_alone'])}" if told["kinds_alone"] else ""
+        yield "regions", f"{told['count']}{by}{edges}{alone}"
         if told["not_taken"]:
             yield "no regions by", f"cell data {', '.join(map(repr, told['not_taken']))} (--regions NAME takes it)"
         yield "layers", record["layers"] or "none found"

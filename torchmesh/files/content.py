@@ -10,7 +10,7 @@ from ..errors import InvalidMeshError
 from .curved_cells import Kinds, straightened
 from .fields import REGION_TAGS, Regions, triangle_regions
 from .formats.format import Document
-from .quads import interfaces_of_quads, quads_of, sides_of
+from .quads import interfaces_of_quads, quads_of, regions_of_all, sides_of, tells_kinds_alone
 
 # What polygons of so many corners are.
 _POLYGONS = {3: "triangle", 4: "quad"}
@@ -112,9 +112,21 @@ class Content:
         return np.asarray(self.quad_middles[self.quad_first, 0] >= 0)
 
     @property
+    def region_count(self) -> int:
+        """In how many regions the triangles and quads lie."""
+        if not len(self.quads):
+            return int(self.region.max(initial=0)) + 1
+        return len(np.unique(regions_of_all(self.mesh, self.first, self.quad_first, self.told_by)))
+
+    @property
+    def kinds_alone(self) -> tuple[str, ...]:
+        """The names of cell data that tells triangles from quads, and no more: no border of regions."""
+        return tells_kinds_alone(self.mesh, self.first, self.quad_first, self.told_by)
+
+    @property
     def bound_by_regions(self) -> str:
         """In words, the interfaces whose edges no flip may remove; empty where there are none."""
-        if not len(np.unique(self.region)) > 1:
+        if not self.region_count > 1:
             return ""
         return f"interfaces between regions by {self.told_by}"
 

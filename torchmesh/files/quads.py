@@ -75,3 +75,16 @@ def regions_of_all(mesh: meshio.Mesh, triangles: np.ndarray, quads: np.ndarray, 
         values, rank = np.unique(np.concatenate(parts), return_inverse=True)
         code = np.unique(code * len(values) + rank.reshape(-1), return_inverse=True)[1].reshape(-1)
     return code
+
+
+def tells_kinds_alone(mesh: meshio.Mesh, triangles: np.ndarray, quads: np.ndarray, told: Regions) -> tuple[str, ...]:
+    """The names of cell data that has one value on all triangles and another on all quads: no border of regions."""
+    from .fields import on_triangles
+
+    names = []
+    for name in told.data if len(triangles) and len(quads) else ():
+        column = mesh.cell_data[name]
+        one, other = np.unique(on_triangles(mesh, column)[triangles]), np.unique(on_quads(mesh, column)[quads])
+        if len(one) == len(other) == 1 and one[0] != other[0]:
+            names.append(name)
+    return tuple(names)
