@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from exact import edge_counts, inverted
+from scipy.spatial import Delaunay
 from scipy.spatial.distance import cdist
 
 import torchmesh as tm
@@ -50,6 +51,29 @@ def test_no_vertex_of_a_valid_mesh_goes_further_than_the_mesh_is_wide_there(mesh
     assert travelled(mesh, after).max() <= 1
     assert float(report.travel.max) == pytest.approx(float(travelled(mesh, after).max()))
     assert float(report.quality.mean) <= float(tm.quality(mesh).mean)
+
+
+def disc(seed: int) -> tm.MeshBatch:
+    """A Delaunay mesh of a disc, with 22 vertices at random places of the circle first."""
+    random = np.random.default_rng(seed)
+    angle = np.sort(random.random(22) * 2 * np.pi)
+    circle = np.stack([np.cos(angle), np.sin(angle)], 1)
+    points = np.concatenate([circle, random.uniform(-0.5, 0.5, (12, 2))])
+    return tm.MeshBatch.from_arrays(points, Delaunay(points).simplices)
+
+
+@pytest.mark.parametrize("topology", ["flip", "keep"])
+@pytest.mark.parametrize("seed", [1, 4])
+def test_vertices_held_by_the_tether_stay_on_their_curves_and_the_area_is_kept(seed, topology):
+    """They were put on the straight way back, inside the curve, and the area of the mesh fell by up to 4 per cent."""
+    mesh = disc(seed)
+    after, report = improve(mesh, ImproveOptions(boundary="slide", topology=topology))
+    assert bool(report.valid)
+    assert float(report.travel.max) > 0.99
+    assert travelled(mesh, after).max() <= 1
+    areas = [float(tm.quality(batch).area.sum()) for batch in (mesh, after)]
+    assert areas[1] == pytest.approx(areas[0], rel=1e-12)
+    assert after.points[:22].norm(dim=1).min() > 0.95
 
 
 def test_a_random_mesh_would_go_further_without_the_tether():

@@ -90,9 +90,26 @@ def _at_the_end_of_the_tether(state: State, done: State, too_far: Tensor, far: T
     # Where a vertex of a mesh that came tangled was further away before, this is where it was, or nearer.
     points = torch.lerp(state.anchors.to(torch.float64), done.mesh.points.to(torch.float64), share)
     points = torch.where(too_far[:, None], points, done.mesh.points.to(torch.float64))
-    begun = done.at(done.mesh.with_points(points))
+    begun = _on_the_curves(done.at(done.mesh.with_points(points)), too_far, share[:, 0])
     bad = ~begun.valid
     return begun.put(bad, state.select(bad)) if bool(bad.any()) else begun
+
+
+def _on_the_curves(state: State, too_far: Tensor, share: Tensor) -> State:
+    """`state` with the vertices `too_far` (V,) bool that slide at this `share` (V,) of their way along their curves."""
+    curves, offsets = state.curves, state.mesh.point_offsets
+    if curves is None:
+        return state
+    rows = curves.rows(offsets)
+    back = too_far[rows] & curves.slides
+    if not bool(back.any()):
+        return state
+    from ..smoothing.sliding import on_the_curves
+
+    s = curves.at_knot + torch.where(back, share[rows], 1.0) * (curves.parameter - curves.at_knot)
+    s = curves.moved_to(torch.where(back, s, curves.parameter)[curves.slides])
+    points = on_the_curves(state.mesh, curves, s, back)
+    return replace(state.at(state.mesh.with_points(points)), curves=replace(curves, parameter=s))
 
 
 def tied(state: State, o: ImproveOptions) -> State:

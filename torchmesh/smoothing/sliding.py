@@ -182,6 +182,7 @@ class Slide:
         x_row[packing.vertices], y_row[packing.vertices] = packing.x_rows, packing.y_rows
         self.curves = replace(curves, slides=curves.slides & (x_row[rows] >= 0))
         self.rows = rows[self.curves.slides]
+        self.every_row = rows
         self.x_rows, self.y_rows = x_row[self.rows], y_row[self.rows]
         self.unit = spread(packing.unit, curves.offsets)
 
@@ -236,10 +237,22 @@ class Slide:
         s = curves.parameter + along * (goal.stations - curves.parameter)
         s = torch.where(along == 1, goal.stations, s)
         positions, _, segment = curves.at(s)
+        positions = self._with_held(positions, before[self.every_row])
         positions, lack = restore_area(curves, positions, segment)
         moving = ~(goal.still | (along == 0))[curves.slides]
         points[self.rows[moving]] = positions[curves.slides][moving]
         return points, s, segment, lack
+
+    def _with_held(self, positions: Tensor, before: Tensor) -> Tensor:
+        """`positions` (K, 2) of the stations on the curves, but where they were `before` (K, 2) if they do not slide.
+
+        Vertices that slid once and are held now lie beside the curve, as far as areas asked for.
+        """
+        curves = self.curves
+        held = ~torch.where(curves.comes_again(), curves.slides[curves.first], curves.slides)
+        rounding = 1e-12 * (curves.at_knot[curves.last] + before.abs().amax(1))
+        held &= (positions - before).abs().amax(1) > rounding
+        return torch.where(held[:, None], before, positions)
 
     def _wrong(self, result: MeshBatch, still: Tensor, segment: Tensor, lack: Tensor, tolerance: Tensor) -> Tensor:
         """(B,) bool: a triangle is inverted, a chain lacks more area than `tolerance` (B,), or edges cross."""
@@ -252,6 +265,20 @@ class Slide:
         # Vertices that slide along a straight line cannot make their edges cross others.
         bent = curves.slides & ~curves.straight[segment] & ~still
         return wrong | _crosses(result, segment_any(bent, curves.offsets) & ~wrong)
+
+
+def on_the_curves(batch: MeshBatch, curves: BoundaryCurves, s: Tensor, at: Tensor) -> Tensor:
+    """(V, 2) float64 the points of the batch, with the vertices of some chains at parameters s (K,) of their stations.
+
+    at  (K,) bool: the chains of these stations are meant; they enclose what they did when the curves were fitted
+    """
+    positions, _, segment = curves.at(s)
+    positions, _ = restore_area(curves, positions, segment)
+    moves = segment_max(at.to(s.dtype), curves.chain_offsets) > 0
+    moves = spread(moves, curves.chain_offsets) & curves.slides
+    points = batch.points.to(torch.float64).clone()
+    points[curves.rows(batch.point_offsets)[moves]] = positions[moves]
+    return points
 
 
 def _crosses(batch: MeshBatch, at: Tensor) -> Tensor:
