@@ -199,3 +199,15 @@ def test_what_constrained_edges_come_from_is_one_sentence(tmp_path):
         meshio.Mesh(points, cells, cell_data=data).write(tmp_path / f"{name}.vtu")
         told = Source.open(tmp_path / f"{name}.vtu").explained("the constrained edge [1, 2] and the vertex 3 meet")
         assert told.endswith(f" (constrained edges are {said})")
+
+
+def test_borders_of_regions_of_quads_are_no_lines_of_the_file(tmp_path):
+    mesh = meshes.mixed(6, 5, 3)
+    cells = [("triangle", mesh.triangles.numpy()), ("quad", mesh.quads.numpy())]
+    left = [(mesh.points.numpy()[block].mean(1)[:, 1] < 0.5).astype(int) for _, block in cells]
+    points = np.pad(mesh.points.numpy(), ((0, 0), (0, 1)))
+    meshio.Mesh(points, cells, cell_data={"material": left}).write(tmp_path / "a.vtu")
+    source = Source.open(tmp_path / "a.vtu")
+    assert len(source.mesh.constrained_edges) > 0
+    told = source.explained("the constrained edge [1, 2] and the vertex 3 meet")
+    assert "interfaces between regions by cell data 'material'; --regions" in told

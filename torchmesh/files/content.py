@@ -135,7 +135,8 @@ class Content:
         """Are there constrained edges that lie between no two regions: lines, or sides to which the file refers?"""
         faces = self.rows[self.first]
         count = len(self.mesh.points)
-        between = _keys(_interfaces(faces, self.region), count)
+        of_quads = interfaces_of_quads(self.mesh, (faces, self.first), (self.quads, self.quad_first), self.told_by)
+        between = _keys(np.concatenate([_interfaces(faces, self.region), of_quads]), count)
         return bool((~np.isin(_keys(self.constrained, count), between)).any())
 
     @property
