@@ -216,6 +216,8 @@ def test_nearest_copies():
     found = transfer(before, after, names, method="nearest")
     distance = torch.cdist(after.points, before.points)
     torch.testing.assert_close(distance[torch.arange(len(found)), found], distance.amin(1), rtol=1e-12, atol=1e-15)
+    for kind in (torch.uint16, torch.uint32, torch.int8, torch.bool):
+        assert torch.equal(transfer(before, after, names.to(kind), method="nearest"), names.to(kind)[found])
     cells = transfer(before, after, torch.arange(len(before.triangles)), "triangles", "nearest")
     middles = after.points[after.triangles].mean(1)
     corners = before.points[before.triangles[cells]]

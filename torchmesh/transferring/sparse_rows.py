@@ -92,6 +92,8 @@ class SparseRows:
         if not (values.is_floating_point() or values.is_complex()):
             if not bool(alone.all()):
                 raise InvalidMeshError(f"values are {values.dtype}: only method 'nearest' copies them, or use floats")
+            if len(rows) == self.shape[0]:  # each row once: torch takes rows of any type, but puts not all of them
+                return values[columns]
             return put_rows(values.new_zeros((self.shape[0], *values.shape[1:])), rows, values[columns])
         exact = torch.promote_types(values.dtype, torch.float64)
         flat = values.reshape(len(values), math.prod(values.shape[1:]))
