@@ -138,6 +138,10 @@ def test_files_are_compressed(path):
         ({"mesh_fields": {"x": torch.zeros(3)}}, "mesh_fields/x must have 1 rows, not 3"),
         ({"mesh_fields": {"a/b": torch.zeros(1)}}, "slash"),
         ({"mesh_fields": {"": torch.zeros(1)}}, "empty"),
+        ({"mesh_fields": {".": torch.zeros(1)}}, "no dot"),
+        ({"mesh_fields": {"x": torch.tensor(1.0)}}, "mesh_fields/x is a single number"),
+        ({"point_fields": {"x": torch.zeros(42, 0)}}, "nothing to store"),
+        ({"point_fields": {"x": torch.zeros(42, dtype=torch.bfloat16)}}, "use .to.torch.float32."),
     ],
 )
 def test_wrong_fields_are_refused(path, fields, message):

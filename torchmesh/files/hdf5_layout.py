@@ -48,12 +48,24 @@ def checked_fields(
     groups = (("point_fields", point_fields, len(batch.points)), ("mesh_fields", mesh_fields, len(batch)))
     for group, given, count in groups:
         for name, values in given.items():
-            if "/" in name or not name:
-                raise InvalidMeshError(f"{group}/{name}: a field's name is not empty and has no slash")
+            if "/" in name or name in ("", "."):
+                raise InvalidMeshError(f"{group}/{name}: a field's name is not empty, is no dot and has no slash")
+            if isinstance(values, Tensor):
+                _check_kind(f"{group}/{name}", values)
             if len(values) != count:
                 raise InvalidMeshError(f"{group}/{name} must have {count} rows, not {len(values)}")
             fields[f"{group}/{name}"] = values
     return fields
+
+
+def _check_kind(name: str, values: Tensor) -> None:
+    """Raise InvalidMeshError for a field without rows, with rows of no numbers, or of a type that HDF5 has not."""
+    if values.ndim == 0:
+        raise InvalidMeshError(f"{name} is a single number: a field has a row for each point or mesh")
+    if 0 in values.shape[1:]:
+        raise InvalidMeshError(f"{name} has the shape {tuple(values.shape)}: there is nothing to store")
+    if values.dtype == torch.bfloat16:
+        raise InvalidMeshError(f"{name} is {values.dtype}, which HDF5 has not: use .to(torch.float32), which is exact")
 
 
 def tables_of(batch: MeshBatch) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
