@@ -124,9 +124,9 @@ def test_deform_has_the_same_bound_on_the_way_and_on_arrival():
 
 
 def test_a_bound_of_other_types_is_refused():
-    with pytest.raises(ValueError, match="when must be a Bound"):
+    with pytest.raises(TypeError, match="ImproveOptions expects Bound as when=, not a float"):
         ImproveOptions(when=15.0)
-    with pytest.raises(ValueError, match="when must be a Bound"):
+    with pytest.raises(TypeError, match="DeformOptions expects Bound as when=, not a float"):
         DeformOptions(when=15.0)
     for wrong in ({"angle": 60.0}, {"ratio": 1.0}, {"limit_share": 0.0}):
         with pytest.raises(ValueError, match=f"Bound.{next(iter(wrong))}"):

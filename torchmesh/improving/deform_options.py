@@ -95,8 +95,6 @@ class DeformOptions:
         if not (is_number(self.stiffening) and 0 <= self.stiffening <= 4):
             raise ValueError(f"DeformOptions.stiffening must be between 0 and 4, not {self.stiffening!r}")
         check_whole(self, max_steps=1, rounds=1)
-        if self.when is not None and not isinstance(self.when, Bound):
-            raise ValueError(f"DeformOptions.when must be a Bound or None, not {self.when!r}")
         if self.topology == "keep" and self.improve.topology == "full":
             raise ValueError("DeformOptions.topology='keep' and improve.topology='full' exclude each other")
         check_topology(self.targets, "flip" if self.may_flip else "keep")

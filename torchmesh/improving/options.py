@@ -146,8 +146,6 @@ class ImproveOptions:
         check_whole(self, untangle_rounds=1, smooth_rounds=1)
 
     def _check_motion(self) -> None:
-        if self.when is not None and not isinstance(self.when, Bound):
-            raise ValueError(f"ImproveOptions.when must be a Bound or None, not {self.when!r}")
         if self.max_motion is None:
             return
         if not (is_number(self.max_motion) and self.max_motion > 0):
