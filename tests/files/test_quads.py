@@ -161,3 +161,18 @@ def test_a_page_and_a_picture_show_quads(tmp_path):
     assert sum(len(c.get_paths()) for c in axes.collections) >= 28
     assert len(fill.get_paths()) <= 28
     assert len(worst_region(before, tm.quality(before))) == 4
+
+
+@pytest.mark.parametrize(("name", "tag"), [("a.msh", "gmsh:physical"), ("a.mesh", "medit:ref"), ("a.vtu", "material")])
+def test_groups_of_gmsh_and_medit_are_regions_even_if_each_has_one_kind_of_element(tmp_path, name, tag):
+    points, triangles, quads = mixed_arrays(COLUMNS, ROWS, QUADS)
+    blocks = [("quad", quads), ("triangle", triangles)]
+    tags = {tag: [np.full(len(rows), k + 1) for k, (_, rows) in enumerate(blocks)]}
+    if tag == "gmsh:physical":
+        tags["gmsh:geometrical"] = tags[tag]
+    mesh = meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), blocks, cell_data=tags)
+    mesh.write(tmp_path / name, **({"file_format": "gmsh22"} if name == "a.msh" else {}))
+    border = np.intersect1d(triangles, quads)
+    assert len(border) == ROWS + 1
+    between = tm.read(tmp_path / name).constrained_edges.unique().tolist()
+    assert between == ([] if tag == "material" else border.tolist())

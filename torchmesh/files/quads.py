@@ -1,13 +1,17 @@
 """The quads of a mesh file: their rows, and which of their edges lie between regions.
 
 A tag with one value on all triangles and another on all quads says no more than which is which, as the blocks of Exodus
-and the sets of one `*ELEMENT` card each do: no vertex is held for that.
+and the sets of one `*ELEMENT` card each do: no vertex is held for that.  Gmsh and Medit give triangles and quads of one
+region the same tag, so that other tags are other regions.
 """
 
 import meshio
 import numpy as np
 
 from .fields import Regions
+
+# Data of formats that have one tag for the elements of a region, whatever their kind.
+_ACROSS_KINDS = ("gmsh:physical", "gmsh:geometrical", "medit:ref")
 
 
 def quads_of(mesh: meshio.Mesh, repeats: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -62,15 +66,14 @@ def regions_of_all(mesh: meshio.Mesh, triangles: np.ndarray, quads: np.ndarray, 
     """
     from .fields import on_triangles
 
-    columns = [mesh.cell_data[name] for name in told.data]
+    columns = [(name in _ACROSS_KINDS, mesh.cell_data[name]) for name in told.data]
     for name in told.sets:
-        columns.append(
-            [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, mesh.cell_sets[name], strict=True)]
-        )
+        members = [np.isin(np.arange(len(b.data)), m) for b, m in zip(mesh.cells, mesh.cell_sets[name], strict=True)]
+        columns.append((False, members))
     code = np.zeros(len(triangles) + len(quads), np.int64)
-    for column in columns:
+    for across_kinds, column in columns:
         parts = on_triangles(mesh, column)[triangles], on_quads(mesh, column)[quads]
-        if all(len(np.unique(part)) < 2 for part in parts):
+        if not across_kinds and all(len(np.unique(part)) < 2 for part in parts):
             continue
         values, rank = np.unique(np.concatenate(parts), return_inverse=True)
         code = np.unique(code * len(values) + rank.reshape(-1), return_inverse=True)[1].reshape(-1)
@@ -82,7 +85,7 @@ def tells_kinds_alone(mesh: meshio.Mesh, triangles: np.ndarray, quads: np.ndarra
     from .fields import on_triangles
 
     names = []
-    for name in told.data if len(triangles) and len(quads) else ():
+    for name in set(told.data).difference(_ACROSS_KINDS) if len(triangles) and len(quads) else ():
         column = mesh.cell_data[name]
         one, other = np.unique(on_triangles(mesh, column)[triangles]), np.unique(on_quads(mesh, column)[quads])
         if len(one) == len(other) == 1 and one[0] != other[0]:
