@@ -10,14 +10,13 @@ Every mesh of a batch has steps of its own; meshes that have arrived take no mor
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 from ..diagnosing.diagnosis import diagnose
 from ..errors import InvalidMeshError
-from ..layering.layers import LayerOptions
 from ..mesh.batch import MeshBatch, put
 from ..mesh.boundary_parts import part_vertices
 from ..mesh.detached import without_autograd
@@ -50,6 +49,7 @@ from .pipeline import improve
 from .report import Progress
 from .rigid_motion import RigidPath, bodies_of, holding_edges
 from .trail import Piece, Trail, has_rewired, settled
+from .walls import names_of_walls, no_layer
 
 
 @typed
@@ -111,19 +111,8 @@ def deform(
         )
     if trail not in (True, False, "apart"):
         raise ValueError(f"trail must be True, False or 'apart', not {trail!r}")
-    names = _names_of_walls(layer)
+    names = names_of_walls(layer)
     return _deform(batch, new_points, steps, options or DeformOptions(), progress, hold, rigid, names, trail)
-
-
-def _names_of_walls(layer: str | Sequence[str] | None) -> tuple[str, ...]:
-    """The names of the walls that `layer` names; TypeError for anything but a name or several."""
-    names: tuple[Any, ...] = () if layer is None else (layer,)
-    if isinstance(layer, Sequence) and not isinstance(layer, str):
-        names = tuple(layer)
-    for name in names:
-        if not isinstance(name, str):
-            raise TypeError(f"layer must be the name of a wall, such as 'hole:1', or several names, not {name!r}")
-    return names
 
 
 @without_autograd
@@ -253,7 +242,7 @@ class Task:
             held, path, has = with_layers(batch, path, along)
             if not bool((has | unfit).all()):
                 b = int((~(has | unfit)).nonzero()[0])
-                raise InvalidMeshError(f"mesh {b}: {_no_layer(batch, b, along, layer)}")
+                raise InvalidMeshError(f"mesh {b}: {no_layer(batch, b, along, layer)}")
         if rigid is not None:
             mask = checked_hold(batch, rigid, "rigid")
             # A vertex that is fixed goes where it was told to.
@@ -277,21 +266,6 @@ class Task:
         """The task of the meshes `at` (B,) bool, which have no followers."""
         rows = spread(at, self.batch.point_offsets)
         return Task.of(self.batch.select(at), self.target[rows], options, None, (), self.unfit[at])
-
-
-def _no_layer(batch: MeshBatch, b: int, along: Tensor, names: tuple[str, ...]) -> str:
-    """Says that mesh b has no layer along the walls of these names, whose vertices are `along` (V,) bool."""
-    where = ", ".join(names)
-    if len(batch.quads):
-        rows = slice(*batch.triangle_offsets[b : b + 2].tolist())
-        sides = torch.stack([batch.triangles[rows], batch.triangles[rows].roll(-1, 1)], 2)
-        on_it = (batch.twin.reshape(-1, 3)[rows] < 0) & along[sides].all(2) & batch.of_quads[rows, None]
-        if bool(on_it.any()):
-            return (
-                f"along {where} stand quads, and no layer of thin triangles. Quads need no layer=: they aim at the "
-                "shapes that they had before the motion; rigid=mask carries them exactly where their wall does not bend"
-            )
-    return f"there is no layer along {where}: no {LayerOptions().rows} rows or more of thin triangles stand there"
 
 
 def _moved(

@@ -309,7 +309,8 @@ def _in_company(quads: Layers, options: LayerOptions) -> Tensor:
     neighbours = _neighbours(quads)
     ratio = quads.height[neighbours.clamp_min(0)] / quads.height[:, None]
     alike = (neighbours >= 0) & (ratio <= options.alike) & (ratio * options.alike >= 1)
-    return _of_three(neighbours, alike, alike.all(1))
+    amid = alike.all(1)
+    return amid | (alike & amid[neighbours.clamp_min(0)]).any(1)
 
 
 def _neighbours(quads: Layers) -> Tensor:
@@ -327,11 +328,6 @@ def _neighbours(quads: Layers) -> Tensor:
     neighbours[rows, 1] = after[rows]
     neighbours[after[rows], 0] = rows
     return neighbours
-
-
-def _of_three(neighbours: Tensor, there: Tensor, amid: Tensor) -> Tensor:
-    """(N,) bool: those `amid` (N,) bool, and their neighbours (N, 2) that are `there` (N, 2) bool."""
-    return amid | (there & amid[neighbours.clamp_min(0)]).any(1)
 
 
 def _rooted(layers: Layers, options: LayerOptions) -> Layers:
